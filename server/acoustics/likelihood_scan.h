@@ -1,0 +1,31 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "frames/frames.h"
+
+namespace soundmap::acoustics {
+
+// A local maximum of the power of one audio scan.
+struct Peak {
+  Eigen::Vector3d direction_in_array = Eigen::Vector3d::UnitX();  // unit vector, array to source
+  double power = 0.0;                                             // S of eq. (5)
+};
+
+// The result of section IV for one audio scan: the likelihood of a sound source in each candidate direction.
+struct LikelihoodScan {
+  frames::TimeNs begin_ns = 0;  // first sample
+  frames::TimeNs end_ns = 0;    // after the last sample
+  // Empty: usable. Otherwise why this scan says nothing (a dead microphone, a gap), and `likelihood` is empty.
+  std::string fault;
+  std::vector<float> likelihood;  // L(theta_i, phi_i, k), in the order of the grid
+  double noise_floor = 0.0;       // of S; 0 where the profile does not estimate it
+  std::vector<Peak> peaks;        // strongest first
+
+  frames::TimeNs mid_ns() const { return begin_ns + (end_ns - begin_ns) / 2; }
+};
+
+}  // namespace soundmap::acoustics
