@@ -1,0 +1,215 @@
+#include "cli/json_output.h"
+
+#include <charconv>
+#include <cmath>
+#include <numbers>
+
+namespace soundmap::cli {
+namespace {
+
+constexpr double kDegPerRad = 180.0 / std::numbers::pi;
+
+}  // namespace
+
+double ShortestDecimal(float value) {
+  if (!std::isfinite(value)) return value;
+  char text[32];
+  const auto end = std::to_chars(text, text + sizeof(text), value).ptr;
+  double decimal = 0.0;
+  std::from_chars(text, end, decimal);
+  return decimal;
+}
+
+const char* NameOf(LocalizationState state) {
+  switch (state) {
+    case LocalizationState::kTracking:
+      return "tracking";
+    case LocalizationState::kUncertain:
+      return "uncertain";
+    case LocalizationState::kLost:
+      return "lost";
+    case LocalizationState::kUnknown:
+      break;
+  }
+  return "unknown";
+}
+
+const char* NameOf(Purpose purpose) {
+  switch (purpose) {
+    case Purpose::kListening:
+      return "listening";
+    case Purpose::kMapping:
+      return "mapping";
+    case Purpose::kUnknown:
+      break;
+  }
+  return "unknown";
+}
+
+const char* NameOf(SessionState state) {
+  switch (state) {
+    case SessionState::kOpen:
+      return "open";
+    case SessionState::kComplete:
+      return "complete";
+    case SessionState::kFailed:
+      return "failed";
+    case SessionState::kUnknown:
+      break;
+  }
+  return "unknown";
+}
+
+Json ToJson(const Vector3& vector) { return Json::array({vector.x, vector.y, vector.z}); }
+
+Json ToJson(const Site& site) {
+  return {{"id", site.id},
+          {"profile", site.profile},
+          {"create_time_ns", site.create_time_ns},
+          {"building_version", site.building_version},
+          {"voxel_size_m", site.voxel_size_m},
+          {"max_range_m", site.max_range_m},
+          {"parameters_toml", site.parameters_toml}};
+}
+
+Json ToJson(const Session& session) {
+  return {{"id", session.id},
+          {"site", session.site},
+          {"robot", session.robot},
+          {"purpose", NameOf(session.purpose)},
+          {"state", NameOf(session.state)},
+          {"error", session.error_message},
+          {"warnings", session.warnings},
+          {"received", session.received},
+          {"durable", session.durable},
+          {"processed", session.processed},
+          {"create_time_ns", session.create_time_ns},
+          {"first_frame_time_ns", session.first_frame_time_ns},
+          {"last_frame_time_ns", session.last_frame_time_ns},
+          {"building_version", session.building_version},
+          {"audio_scans", session.audio_scans}};
+}
+
+Json ToJson(const PoseEstimate& pose) {
+  Json json = {{"time_ns", pose.time_ns},
+               {"x_m", pose.map_from_base.x_m},
+               {"y_m", pose.map_from_base.y_m},
+               {"yaw_rad", pose.map_from_base.yaw_rad},
+               {"state", NameOf(pose.state)}};
+  if (pose.covariance) {
+    json["covariance"] = *pose.covariance;
+    json["effective_particles"] = pose.effective_particles;
+  }
+  return json;
+}
+
+Json ToJson(const Robot& robot) {
+  return {{"id", robot.id},
+          {"site", robot.site},
+          {"session", robot.session},
+          {"streaming", robot.streaming},
+          {"last_seen_ns", robot.last_seen_ns},
+          {"pose", robot.pose ? ToJson(*robot.pose) : Json(nullptr)}};
+}
+
+Json ToJson(const Operation& operation) {
+  Json json = {{"id", operation.id},
+               {"kind", operation.kind},
+               {"site", operation.site},
+               {"done", operation.done},
+               {"progress", operation.progress},
+               {"progress_text", operation.progress_text},
+               {"error_code", operation.error_code},
+               {"error", operation.error_message},
+               {"create_time_ns", operation.create_time_ns},
+               {"end_time_ns", operation.end_time_ns}};
+  const Json report =
+      Json::parse(operation.report_json, /*cb=*/nullptr, /*allow_exceptions=*/false);
+  json["report"] = report.is_discarded() ? Json(nullptr) : report;
+  return json;
+}
+
+Json ToJson(const SoundSource& source) {
+  return {{"id", source.id},
+          {"position_m", ToJson(source.position_in_map_m)},
+          {"extent_m", source.extent_m},
+          {"probability", source.probability},
+          {"evidence_count", source.evidence_count},
+          {"first_heard_ns", source.first_heard_ns},
+          {"last_heard_ns", source.last_heard_ns},
+          {"peak_log_odds", source.peak_log_odds},
+          {"voxel_count", source.voxel_count}};
+}
+
+Json ToJson(const SoundSourceList& list, const std::string& site) {
+  Json json = {{"site", site}, {"revision", list.revision}, {"as_of_ns", list.as_of_ns}};
+  json.update(ListToJson("sources", list.sources));
+  return json;
+}
+
+Json ToJson(const AudioScan& scan) {
+  Json peaks = Json::array();
+  for (const AudioPeak& peak : scan.peaks) {
+    peaks.push_back({{"azimuth_deg", peak.azimuth_rad * kDegPerRad},
+                     {"elevation_deg", peak.elevation_rad * kDegPerRad},
+                     {"power", peak.power}});
+  }
+  return {{"time_ns", scan.time_ns},
+          {"robot", scan.robot},
+          {"session", scan.session},
+          {"pose", scan.pose ? ToJson(*scan.pose) : Json(nullptr)},
+          {"noise_floor", scan.noise_floor},
+          {"peaks", std::move(peaks)},
+          {"end_point_count", scan.end_point_count}};
+}
+
+Json ToJson(const VoxelColumns& voxels, std::size_t i) {
+  // To the micrometre: (key + 0.5) * 0.05 is 2.025, not 2.0250000000000004.
+  const auto tidy = [](double metres) { return std::round(metres * 1e6) / 1e6; };
+  const Vector3 center = voxels.CenterInMap(i);
+  return {{"x_m", tidy(center.x)},
+          {"y_m", tidy(center.y)},
+          {"z_m", tidy(center.z)},
+          {"log_odds", ShortestDecimal(voxels.log_odds[i])},
+          {"update_count", voxels.update_count[i]},
+          {"last_update_ns", voxels.last_update_ns[i]}};
+}
+
+Json ToJson(const ExportedMap& exported) {
+  return {{"files", exported.files},
+          {"bytes", exported.bytes},
+          {"revision", exported.revision},
+          {"as_of_ns", exported.as_of_ns}};
+}
+
+std::optional<Json> ToJson(const WatchEvent& event) {
+  struct Content {
+    std::optional<Json> operator()(const Heartbeat&) const { return std::nullopt; }
+    std::optional<Json> operator()(const SoundSource& source) const {
+      return Json{{"event", "sound_source"}, {"sound_source", ToJson(source)}};
+    }
+    std::optional<Json> operator()(const RemovedSoundSource& removed) const {
+      return Json{{"event", "sound_source_removed"}, {"id", removed.id}};
+    }
+    std::optional<Json> operator()(const Robot& robot) const {
+      return Json{{"event", "robot"}, {"robot", ToJson(robot)}};
+    }
+    std::optional<Json> operator()(const AudioScan& scan) const {
+      Json json{{"event", "audio_scan"}};
+      json.update(ToJson(scan));
+      return json;
+    }
+    std::optional<Json> operator()(const SnapshotComplete&) const {
+      return Json{{"event", "snapshot_complete"}};
+    }
+    std::optional<Json> operator()(const Resync&) const { return Json{{"event", "resync"}}; }
+  };
+  auto json = std::visit(Content{}, event.event);
+  if (json) {
+    (*json)["revision"] = event.revision;
+    (*json)["resume_token"] = event.resume_token;
+  }
+  return json;
+}
+
+}  // namespace soundmap::cli

@@ -1,0 +1,118 @@
+#include <iostream>
+#include <memory>
+
+#include "absl/strings/str_cat.h"
+#include "cli/command_line.h"
+#include "cli/json_output.h"
+#include "cli/progress.h"
+#include "cli/table.h"
+#include "cli/time_text.h"
+
+namespace soundmap::cli {
+namespace {
+
+struct SiteArguments {
+  std::string site;
+  std::string map;
+  std::string profile;
+  std::string format;
+};
+
+void PrintSites(const std::vector<Site>& sites) {
+  Table table({{"SITE"}, {"PROFILE"}, {"MAP VERSION", Table::Align::kRight}, {"CREATED"}});
+  for (const Site& site : sites) {
+    table.Add({site.id, site.profile, absl::StrCat(site.building_version),
+               FormatTime(site.create_time_ns)});
+  }
+  table.Print(std::cout);
+}
+
+void PrintSite(const Site& site, const std::string& format) {
+  if (format == "json") {
+    std::cout << ToJson(site).dump() << '\n';
+    return;
+  }
+  PrintSites({site});
+}
+
+// A site whose map cannot be taken over is not left behind.
+absl::Status Create(Client& client, const SiteArguments& arguments) {
+  auto site = client.CreateSite(arguments.site, arguments.profile);
+  if (!site.ok()) return site.status();
+  if (!arguments.map.empty()) {
+    absl::Status imported;
+    {
+      Progress progress;
+      imported = client.ImportMap(arguments.site, arguments.map, progress.ForOperation()).status();
+    }
+    if (!imported.ok()) {
+      const absl::Status deleted = client.DeleteSite(arguments.site);
+      if (deleted.ok()) return imported;
+      return absl::Status(imported.code(),
+                          absl::StrCat(imported.message(), "; the site ", arguments.site,
+                                       " stays behind without a map: ", deleted.message()));
+    }
+    site = client.GetSite(arguments.site);
+    if (!site.ok()) return site.status();
+  }
+  PrintSite(*site, arguments.format);
+  return absl::OkStatus();
+}
+
+absl::Status Show(Client& client, const SiteArguments& arguments) {
+  const auto site = client.GetSite(arguments.site);
+  if (!site.ok()) return site.status();
+  PrintSite(*site, arguments.format);
+  if (arguments.format != "json") std::cout << '\n' << site->parameters_toml;
+  return absl::OkStatus();
+}
+
+absl::Status List(Client& client, const SiteArguments& arguments) {
+  const auto sites = client.ListSites();
+  if (!sites.ok()) return sites.status();
+  if (arguments.format == "json") {
+    std::cout << ListToJson("sites", *sites).dump() << '\n';
+  } else {
+    PrintSites(*sites);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Delete(Client& client, const SiteArguments& arguments) {
+  const absl::Status status = client.DeleteSite(arguments.site);
+  if (!status.ok()) return status;
+  if (arguments.format == "json") {
+    std::cout << Json{{"deleted", arguments.site}}.dump() << '\n';
+  } else {
+    std::cout << "deleted " << arguments.site << '\n';
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddSiteCommands(CLI::App& app, CommandLine& line) {
+  CLI::App* site = AddCommand(app, "site", "sites: one building with one map each");
+  site->require_subcommand(1);
+  const auto add = [&](const char* name, const char* description, auto action, bool takes_site) {
+    auto arguments = std::make_shared<SiteArguments>();
+    CLI::App* command = AddCommand(*site, name, description);
+    if (takes_site) command->add_option("SITE", arguments->site, "id of the site")->required();
+    AddFormat(*command, arguments->format, {"table", "json"});
+    RunWithClient(*command, line,
+                  [action, arguments](Client& client) { return action(client, *arguments); });
+    return std::pair(command, arguments);
+  };
+  const auto [create, arguments] = add("create", "create a site", Create, true);
+  create->add_option("--map", arguments->map,
+                     "geometric map of the building: a .bt, .ot, .ply, .pcd or .yaml file");
+  arguments->profile = "default";
+  create->add_option("--profile", arguments->profile, "method and parameters")
+      ->check(CLI::IsMember({"default", "paper"}))
+      ->capture_default_str();
+  add("list", "list the sites", List, false);
+  add("show", "show a site and its parameters", Show, true);
+  add("delete", "delete a site with its map, sessions and recordings", Delete, true);
+}
+
+}  // namespace soundmap::cli

@@ -1,0 +1,90 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "soundmap/poses.h"
+
+namespace soundmap {
+
+struct SoundSource {
+  std::string id;
+  std::string site;
+  Vector3 position_in_map_m;
+  double extent_m = 0.0;  // edge of the cube of equal spread
+  double probability = 0.0;
+  std::int64_t evidence_count = 0;
+  std::int64_t first_heard_ns = 0;
+  std::int64_t last_heard_ns = 0;
+  double peak_log_odds = 0.0;
+  std::int64_t voxel_count = 0;
+};
+
+// `revision`: of the map that the answer was read from; `as_of_ns`: capture time of its last
+// evidence.
+struct SoundSourceList {
+  std::vector<SoundSource> sources;  // most probable first, then by id
+  std::int64_t revision = 0;
+  std::int64_t as_of_ns = 0;
+};
+
+struct SoundSourceQuery {
+  std::string site;
+  double min_probability = 0.0;
+  std::int64_t since_ns = 0;  // heard at or after; 0: ever
+};
+
+struct VoxelQuery {
+  std::string site;
+  std::optional<Box> box_in_map;  // absent: the whole map
+  std::int64_t min_updates = 0;
+  double min_probability = 0.0;
+};
+
+// Columns of equal length, one entry a voxel.
+struct VoxelColumns {
+  std::int64_t revision = 0;
+  std::int64_t as_of_ns = 0;
+  double voxel_size_m = 0.0;
+  std::vector<std::uint32_t> x_key, y_key, z_key;
+  std::vector<float> log_odds;
+  std::vector<std::uint32_t> update_count;
+  std::vector<std::int64_t> last_update_ns;
+
+  std::size_t size() const { return x_key.size(); }
+  // Centre of voxel i in `map`.
+  Vector3 CenterInMap(std::size_t i) const {
+    const auto center = [this](std::uint32_t key) {
+      return (static_cast<double>(key) - 32768.0 + 0.5) * voxel_size_m;
+    };
+    return {center(x_key[i]), center(y_key[i]), center(z_key[i])};
+  }
+};
+
+// A direction, in `mic_array`, in which one audio scan had a local maximum of power.
+struct AudioPeak {
+  double azimuth_rad = 0.0;    // counter-clockwise from x
+  double elevation_rad = 0.0;  // up from the x-y plane
+  double power = 0.0;          // S of eq. (5)
+};
+
+struct AudioScan {
+  std::string session;
+  std::string robot;
+  std::int64_t time_ns = 0;  // middle of the scan
+  std::optional<PoseEstimate> pose;
+  double noise_floor = 0.0;  // of S
+  std::vector<AudioPeak> peaks;
+  std::int64_t end_point_count = 0;
+};
+
+struct AudioScanQuery {
+  std::string site;
+  std::string session;  // empty: all
+  std::int64_t start_ns = 0;
+  std::int64_t end_ns = 0;  // exclusive; 0: open
+};
+
+}  // namespace soundmap

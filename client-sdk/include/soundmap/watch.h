@@ -1,0 +1,42 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <variant>
+
+#include "soundmap/resources.h"
+#include "soundmap/sound.h"
+
+namespace soundmap {
+
+struct WatchRequest {
+  std::string site;
+  bool sound_sources = false;
+  bool robots = false;
+  bool audio_scans = false;
+  std::string resume_token;  // of the last event seen; empty: from the present state
+};
+
+struct RemovedSoundSource {
+  std::string id;
+};
+// All of the present state has been told; what follows are changes.
+struct SnapshotComplete {};
+// Nothing happened; the connection is alive.
+struct Heartbeat {};
+// Events were lost: forget what was told; the present state follows.
+struct Resync {};
+
+struct WatchEvent {
+  std::int64_t revision = 0;
+  std::string resume_token;
+  std::variant<Heartbeat, SoundSource, RemovedSoundSource, Robot, AudioScan, SnapshotComplete,
+               Resync>
+      event;
+};
+
+// Returns whether to go on watching.
+using WatchCallback = std::function<bool(const WatchEvent&)>;
+
+}  // namespace soundmap

@@ -1,0 +1,314 @@
+// soundmap-robot: what runs on the robot, or plays one.
+
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <iterator>
+#include <optional>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/ascii.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "sources/replay/replay.h"
+#include "sources/simulation/simulate.h"
+#include "uplink/channel.h"
+#include "uplink/uploader.h"
+
+namespace soundmap {
+namespace {
+
+using Seconds = std::chrono::duration<double>;
+
+// One line on a terminal that is written over and over; nothing elsewhere.
+class ProgressLine {
+ public:
+  void Show(const std::string& text) {
+    const auto now = std::chrono::steady_clock::now();
+    if (!terminal_ || now - shown_at_ < std::chrono::milliseconds(200)) return;
+    shown_at_ = now;
+    Draw(text);
+  }
+  void Clear() {
+    if (terminal_ && shown_at_ != std::chrono::steady_clock::time_point()) Draw("");
+  }
+
+ private:
+  static void Draw(const std::string& text) {
+    std::fprintf(stderr, "\r\x1b[K%s", text.c_str());
+    std::fflush(stderr);
+  }
+
+  const bool terminal_ = isatty(STDERR_FILENO) != 0;
+  std::chrono::steady_clock::time_point shown_at_;
+};
+
+absl::StatusOr<std::string> FileText(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::string text{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+  if (!file) return absl::NotFoundError(absl::StrCat("cannot read '", path, "'"));
+  return text;
+}
+
+struct ReplayCommand {
+  std::string drive;
+  std::string site;
+  std::string robot;
+  std::string speed = "1";
+  std::vector<double> initial_pose;
+  std::string purpose = "listening";
+  bool new_session = false;
+  double laser_time_increment_s = 0.0;
+  recording::DriveTopics topics;
+  std::string server = "127.0.0.1:7443";
+  std::string token_file;
+  std::string tls_ca;
+  double connect_timeout_s = 60.0;
+};
+
+void Set(const Eigen::Vector3d& from, v1::Vector3& to) {
+  to.set_x(from.x());
+  to.set_y(from.y());
+  to.set_z(from.z());
+}
+
+void Set(const Eigen::Isometry3d& from, v1::Transform& to) {
+  Set(from.translation(), *to.mutable_translation_m());
+  const Eigen::Quaterniond rotation(from.linear());
+  to.mutable_rotation()->set_x(rotation.x());
+  to.mutable_rotation()->set_y(rotation.y());
+  to.mutable_rotation()->set_z(rotation.z());
+  to.mutable_rotation()->set_w(rotation.w());
+}
+
+v1::CreateSessionRequest SessionRequest(const ReplayCommand& command,
+                                        const sources::Replay& replay) {
+  v1::CreateSessionRequest request;
+  request.set_site(absl::StrCat("sites/", command.site));
+  request.set_robot(absl::StrCat("robots/", command.robot));
+  request.set_session_id(replay.SessionId(command.site, command.robot, command.purpose));
+  if (command.new_session) {
+    std::random_device random;
+    absl::StrAppendFormat(request.mutable_session_id(), "-%08x", random());
+  }
+  const bool listening = command.purpose == "listening";
+  request.set_purpose(listening ? v1::PURPOSE_LISTENING : v1::PURPOSE_MAPPING);
+  v1::Calibration& calibration = *request.mutable_calibration();
+  const recording::RobotModel& robot = replay.robot();
+  if (robot.base_from_array) Set(*robot.base_from_array, *calibration.mutable_base_from_array());
+  if (robot.base_from_lidar) Set(*robot.base_from_lidar, *calibration.mutable_base_from_lidar());
+  if (robot.base_from_laser) Set(*robot.base_from_laser, *calibration.mutable_base_from_laser());
+  for (const Eigen::Vector3d& mic : robot.mic_in_array_m) {
+    Set(mic, *calibration.add_mic_in_array_m());
+  }
+  calibration.set_laser_time_increment_s(command.laser_time_increment_s);
+  calibration.set_audio_sample_rate_hz(replay.survey().audio_sample_rate_hz);
+  if (!command.initial_pose.empty()) {
+    request.mutable_initial_pose()->set_x_m(command.initial_pose[0]);
+    request.mutable_initial_pose()->set_y_m(command.initial_pose[1]);
+    request.mutable_initial_pose()->set_yaw_rad(command.initial_pose[2]);
+  }
+  if (listening) {
+    for (const std::string& warning : replay.ListeningWarnings()) request.add_warnings(warning);
+  }
+  return request;
+}
+
+absl::Status RunReplay(const ReplayCommand& command) {
+  uplink::ServerOptions server{.address = command.server};
+  if (!command.token_file.empty()) {
+    absl::StatusOr<std::string> token = FileText(command.token_file);
+    if (!token.ok()) return token.status();
+    server.token = std::string(absl::StripAsciiWhitespace(*token));
+  }
+  if (!command.tls_ca.empty()) {
+    absl::StatusOr<std::string> pem = FileText(command.tls_ca);
+    if (!pem.ok()) return pem.status();
+    server.tls_ca_pem = *std::move(pem);
+  }
+  auto channel = uplink::OpenChannel(server);
+  if (!channel.ok()) return channel.status();
+  auto replay = sources::Replay::Open(command.drive, command.topics);
+  if (!replay.ok()) return replay.status();
+
+  uplink::UploadOptions options;
+  options.server = server.address;
+  options.token = server.token;
+  options.session = SessionRequest(command, **replay);
+  for (const std::string& warning : options.session.warnings()) {
+    std::fprintf(stderr, "soundmap-robot: warning: %s\n", warning.c_str());
+  }
+  if (double speed = 0.0; absl::SimpleAtod(command.speed, &speed)) options.speed = speed;
+  options.give_up_after =
+      std::chrono::milliseconds(static_cast<std::int64_t>(command.connect_timeout_s * 1e3));
+
+  const recording::DriveSurvey& survey = (*replay)->survey();
+  const std::int64_t total = survey.sensor_count();
+  ProgressLine line;
+  std::string trouble;
+  const auto show = [&](const uplink::UploadProgress& progress) {
+    if (progress.trouble != trouble) {
+      trouble = progress.trouble;
+      line.Clear();
+      if (!trouble.empty()) {
+        std::fprintf(stderr, "soundmap-robot: %s; trying again\n", trouble.c_str());
+      }
+    }
+    line.Show(absl::StrFormat(
+        "sent %d, processed %d of %d frames (%.0f %%)", progress.next_offset,
+        progress.watermarks.processed, total,
+        100.0 * static_cast<double>(progress.watermarks.processed) / static_cast<double>(total)));
+  };
+  uplink::Uploader uploader(*channel, options, &std::chrono::steady_clock::now,
+                            std::mt19937_64(std::random_device()()));
+  const auto begin = std::chrono::steady_clock::now();
+  const auto result = uploader.Upload(**replay, show);
+  line.Clear();
+  if (!result.ok()) return result.status();
+
+  const double elapsed_s = Seconds(std::chrono::steady_clock::now() - begin).count();
+  const double drive_s =
+      static_cast<double>(survey.last_log_time_ns - survey.first_log_time_ns) * 1e-9;
+  if (result->sent_count == 0) {
+    std::printf("%s: all %d frames were processed before\n", result->session.c_str(),
+                static_cast<int>(result->frame_count));
+  } else {
+    std::printf("%s: %d frames (%.1f s of driving) processed in %.1f s, %.1f x real time\n",
+                result->session.c_str(), static_cast<int>(result->frame_count), drive_s, elapsed_s,
+                drive_s / elapsed_s);
+  }
+  return survey.damage;
+}
+
+void AddReplay(CLI::App& app, ReplayCommand& command) {
+  CLI::App* replay = app.add_subcommand("replay", "Streams a recorded drive to the server");
+  replay->footer(
+      "Running the same replay again resumes it and counts nothing twice. Exit status 0: every "
+      "frame\n"
+      "is durable and processed. A damaged recording is sent up to the damage; once that is\n"
+      "processed, the exit status is 1 and the error says where the damage is.");
+  replay->add_option("DRIVE", command.drive, "The recording (.mcap)")->required();
+  replay->add_option("--site", command.site, "The site")->required();
+  replay->add_option("--robot", command.robot, "The robot's name")->required();
+  replay
+      ->add_option("--speed", command.speed,
+                   "Times real time, or 'max': as fast as the server takes it")
+      ->capture_default_str()
+      ->check([](const std::string& text) {
+        double speed = 0.0;
+        const bool valid = text == "max" ||
+                           (absl::SimpleAtod(text, &speed) && std::isfinite(speed) && speed > 0.0);
+        return valid ? std::string() : "'" + text + "' is neither a positive number nor 'max'";
+      });
+  replay
+      ->add_option("--initial-pose", command.initial_pose,
+                   "x,y,yaw in the map where the drive starts (metres, radians); for a mapping "
+                   "drive it fixes the map, default 0,0,0")
+      ->delimiter(',')
+      ->expected(3)
+      ->type_name("X,Y,YAW")
+      ->check([](const std::string& text) {
+        double number = 0.0;
+        const bool valid = absl::SimpleAtod(text, &number) && std::isfinite(number);
+        return valid ? std::string() : "'" + text + "' is not a number";
+      });
+  replay->add_option("--purpose", command.purpose, "What the drive is for")
+      ->check(CLI::IsMember({"listening", "mapping"}))
+      ->capture_default_str();
+  replay->add_flag("--new-session", command.new_session,
+                   "Count the drive again even if the server knows it");
+  replay
+      ->add_option("--laser-time-increment", command.laser_time_increment_s,
+                   "Seconds between two beams of the LRF; 0: a scan is instantaneous")
+      ->check(CLI::Range(0.0, 1.0));
+  replay->add_option("--audio-topic", command.topics.audio)->capture_default_str();
+  replay->add_option("--lidar-topic", command.topics.lidar)->capture_default_str();
+  replay->add_option("--laser-topic", command.topics.laser)->capture_default_str();
+  replay->add_option("--odometry-topic", command.topics.odometry)->capture_default_str();
+  replay->add_option("--transforms-topic", command.topics.transforms)->capture_default_str();
+  replay->add_option("--server", command.server, "HOST:PORT")
+      ->envname("SOUNDMAP_SERVER")
+      ->capture_default_str();
+  replay->add_option("--token-file", command.token_file, "File with a bearer token");
+  replay->add_option("--tls-ca", command.tls_ca,
+                     "Certificates to trust (PEM); without, the connection is plain text");
+  replay
+      ->add_option("--connect-timeout", command.connect_timeout_s,
+                   "Seconds to go on trying in vain to reach the server")
+      ->check(CLI::Range(0.0, 1e6))
+      ->capture_default_str();
+}
+
+struct SimulateCommand {
+  std::string scene;
+  std::string out;
+  bool mapping = false;
+  std::optional<double> seconds;
+};
+
+absl::Status RunSimulate(const SimulateCommand& command) {
+  ProgressLine line;
+  simulation::SimulateOptions options;
+  options.mapping = command.mapping;
+  options.seconds = command.seconds;
+  options.progress = [&line](double share) {
+    line.Show(absl::StrFormat("simulating: %.0f %%", 100.0 * share));
+  };
+  const auto result = simulation::Simulate(command.scene, command.out, options);
+  line.Clear();
+  if (!result.ok()) return result.status();
+  std::printf("%s: %.1f s of driving, %d messages; truth in %s\n", command.out.c_str(),
+              result->duration_s, static_cast<int>(result->messages), result->truth_path.c_str());
+  if (result->clipped_samples > 0) {
+    std::fprintf(stderr, "soundmap-robot: warning: %d audio samples are clipped\n",
+                 static_cast<int>(result->clipped_samples));
+  }
+  return absl::OkStatus();
+}
+
+void AddSimulate(CLI::App& app, SimulateCommand& command) {
+  CLI::App* simulate = app.add_subcommand("simulate", "Makes a drive through a scene, with truth");
+  simulate->add_option("SCENE", command.scene, "A scene's file, or the name of a shipped scene")
+      ->required();
+  simulate->add_option("--out", command.out, "The recording to write (.mcap)")->required();
+  simulate->add_flag("--mapping", command.mapping, "A mapping drive: without audio");
+  simulate->add_option("--seconds", command.seconds, "End the drive after so long")
+      ->check(CLI::PositiveNumber);
+}
+
+int Main(int argc, char** argv) {
+  CLI::App app("Sound map: the robot's side");
+  app.require_subcommand(1);
+  ReplayCommand replay;
+  SimulateCommand simulate;
+  AddReplay(app, replay);
+  AddSimulate(app, simulate);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::CallForHelp&) {
+    std::fputs(app.help().c_str(), stdout);
+    return 0;
+  } catch (const CLI::ParseError& error) {
+    std::fprintf(stderr, "soundmap-robot: %s\n", error.what());
+    return 2;
+  }
+  const absl::Status status =
+      app.got_subcommand("replay") ? RunReplay(replay) : RunSimulate(simulate);
+  if (status.ok()) return 0;
+  std::fprintf(stderr, "soundmap-robot: %s\n", std::string(status.message()).c_str());
+  return 1;
+}
+
+}  // namespace
+}  // namespace soundmap
+
+int main(int argc, char** argv) { return soundmap::Main(argc, argv); }

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+
+namespace soundmap::sources {
+
+enum class Sensor { kAudio, kLidar, kLaser, kOdometry };
+
+// One sensor message, on its way to the server as it was recorded.
+struct SensorFrame {
+  Sensor sensor = Sensor::kAudio;
+  std::int64_t log_time_ns = 0;
+  std::string payload;  // a serialized Foxglove message
+};
+
+// The frames of one drive, in order: those at offsets 0, 1, 2, ... The same offset always gives the
+// same frame.
+class FrameSource {
+ public:
+  virtual ~FrameSource() = default;
+
+  // The next frame is the one at `offset`. OutOfRange: the drive has fewer frames.
+  virtual absl::Status Seek(std::int64_t offset) = 0;
+  // None at the end.
+  virtual absl::StatusOr<std::optional<SensorFrame>> Next() = 0;
+};
+
+}  // namespace soundmap::sources

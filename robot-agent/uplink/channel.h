@@ -1,0 +1,22 @@
+#pragma once
+
+#include <grpcpp/grpcpp.h>
+
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+
+namespace soundmap::uplink {
+
+struct ServerOptions {
+  std::string address;     // HOST:PORT
+  std::string token;       // bearer token; empty: none. Needs TLS unless the server is on loopback.
+  std::string tls_ca_pem;  // certificates to trust (PEM text); empty: plain text
+};
+
+// A channel that finds out within 40 s that its peer is dead. It connects when it is first used.
+// InvalidArgument: the token would travel unencrypted.
+absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const ServerOptions& options);
+
+}  // namespace soundmap::uplink

@@ -1,0 +1,311 @@
+#include "uplink/uploader.h"
+
+#include <algorithm>
+#include <cmath>
+#include <thread>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "google/rpc/status_details.pb.h"
+#include "uplink/chunk_builder.h"
+
+namespace soundmap::uplink {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::nanoseconds;
+
+constexpr std::int64_t kMaxChunkBytes = 256 << 10;
+constexpr int kMaxChunkFrames = 2048;
+constexpr std::chrono::seconds kCallTimeout{30};
+
+// Frames become due by their log time, counted from the first one that is sent.
+class Pace {
+ public:
+  Pace(std::optional<double> speed, const Uploader::Clock& clock) : speed_(speed), clock_(clock) {}
+
+  // How long until the frame is due; zero or less: it is.
+  nanoseconds Wait(std::int64_t log_time_ns) {
+    if (!speed_) return nanoseconds(0);
+    if (!started_) {
+      started_ = true;
+      start_ = clock_();
+      start_log_time_ns_ = log_time_ns;
+    }
+    const double due_ns = static_cast<double>(log_time_ns - start_log_time_ns_) / *speed_;
+    return nanoseconds(static_cast<std::int64_t>(std::clamp(due_ns, -1e18, 1e18))) -
+           (clock_() - start_);
+  }
+
+ private:
+  const std::optional<double> speed_;
+  const Uploader::Clock& clock_;
+  bool started_ = false;
+  std::chrono::steady_clock::time_point start_;
+  std::int64_t start_log_time_ns_ = 0;
+};
+
+// The frames still to be sent, one looked ahead.
+class Outbox {
+ public:
+  explicit Outbox(sources::FrameSource& source) : source_(source) {}
+
+  absl::Status Seek(std::int64_t offset) {
+    if (absl::Status status = source_.Seek(offset); !status.ok()) return status;
+    offset_ = offset;
+    return Load();
+  }
+  // Drops the frame at hand.
+  absl::Status Advance() {
+    ++offset_;
+    return Load();
+  }
+
+  // The frame at hand, at offset(), of which the parts before part() are sent; none at the end.
+  const std::optional<sources::SensorFrame>& frame() const { return frame_; }
+  std::int64_t offset() const { return offset_; }
+  std::uint32_t part() const { return part_; }
+  void AdvancePart() { ++part_; }
+
+ private:
+  absl::Status Load() {
+    part_ = 0;
+    auto frame = source_.Next();
+    if (!frame.ok()) return frame.status();
+    frame_ = *std::move(frame);
+    return absl::OkStatus();
+  }
+
+  sources::FrameSource& source_;
+  std::optional<sources::SensorFrame> frame_;
+  std::int64_t offset_ = 0;
+  std::uint32_t part_ = 0;
+};
+
+std::int64_t PayloadBytes(const sources::SensorFrame& frame) {
+  return static_cast<std::int64_t>(frame.payload.size());
+}
+
+bool IsRetryable(const absl::Status& status, bool with_retry_info) {
+  return absl::IsUnavailable(status) || (absl::IsResourceExhausted(status) && with_retry_info);
+}
+
+}  // namespace
+
+absl::Status UploadOptions::Validate() const {
+  if (speed && !(*speed > 0.0 && std::isfinite(*speed))) {
+    return absl::InvalidArgumentError("the speed must be a positive number");
+  }
+  return absl::OkStatus();
+}
+
+Uploader::Uploader(const std::shared_ptr<grpc::ChannelInterface>& channel, UploadOptions options,
+                   Clock clock, std::mt19937_64 random)
+    : options_(std::move(options)),
+      clock_(std::move(clock)),
+      random_(random),
+      sessions_(v1::SessionService::NewStub(channel)),
+      ingest_(v1::IngestService::NewStub(channel)) {}
+
+absl::StatusOr<UploadResult> Uploader::Upload(
+    sources::FrameSource& source, const std::function<void(const UploadProgress&)>& progress) {
+  if (absl::Status status = options_.Validate(); !status.ok()) return status;
+  progress_ = progress;
+  result_ = {};
+  now_ = {};
+  auto trying_since = clock_();
+  milliseconds backoff = options_.first_backoff;
+  while (true) {
+    progressed_ = false;
+    const absl::Status status = Attempt(source);
+    if (status.ok()) return result_;
+    if (!IsRetryable(status, asked_delay_ > milliseconds(0))) return status;
+    if (progressed_) {
+      trying_since = clock_();
+      backoff = options_.first_backoff;
+    }
+    const auto in_vain = clock_() - trying_since;
+    if (in_vain >= options_.give_up_after) {
+      return absl::Status(
+          status.code(),
+          absl::StrCat(status.message(), "; given up after ",
+                       std::chrono::duration_cast<std::chrono::seconds>(in_vain).count(), " s"));
+    }
+    Report(std::string(status.message()));
+    const milliseconds jitter(
+        std::uniform_int_distribution<std::int64_t>(0, backoff.count())(random_));
+    backoff = std::min(2 * backoff, options_.max_backoff);
+    const auto left = std::chrono::duration_cast<milliseconds>(options_.give_up_after - in_vain);
+    std::this_thread::sleep_for(std::min(asked_delay_ + jitter, left));
+  }
+}
+
+absl::Status Uploader::Attempt(sources::FrameSource& source) {
+  asked_delay_ = milliseconds(0);
+  v1::Session session;
+  const auto context = MakeContext();
+  context->set_deadline(std::chrono::system_clock::now() + kCallTimeout);
+  if (absl::Status status =
+          FromServer(sessions_->CreateSession(context.get(), options_.session, &session));
+      !status.ok()) {
+    return status;
+  }
+  result_.session = session.name();
+  if (session.state() == v1::SESSION_STATE_FAILED) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("session '", session.name(), "' has failed: ", session.error_message()));
+  }
+
+  IngestStream stream(*ingest_, MakeContext());
+  v1::IngestRequest open;
+  open.mutable_open()->set_session(session.name());
+  open.mutable_open()->set_epoch(session.epoch());
+  open.mutable_open()->set_next_offset(now_.next_offset);
+  stream.Write(open);
+  const absl::StatusOr<bool> all_sent = SendFrames(stream, source);
+  if (!all_sent.ok()) return all_sent.status();
+  const grpc::Status end = stream.Finish();
+  if (!end.ok()) return FromServer(end);
+  if (!*all_sent) {
+    return absl::UnavailableError(
+        absl::StrCat("the server ", options_.server, " ended the stream before all was sent"));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<bool> Uploader::SendFrames(IngestStream& stream, sources::FrameSource& source) {
+  IngestStream::State state = stream.state();
+  while (!state.welcome && !state.ended) {
+    stream.WaitForNews(state, std::nullopt);
+    state = stream.state();
+  }
+  if (state.ended) return false;
+  const v1::Limits& limits = state.welcome->limits();
+  const std::int64_t chunk_bytes = limits.max_chunk_bytes() > 0
+                                       ? std::min(limits.max_chunk_bytes(), kMaxChunkBytes)
+                                       : kMaxChunkBytes;
+  Outbox outbox(source);
+  Pace pace(options_.speed, clock_);
+  if (absl::Status status = outbox.Seek(state.welcome->resume_offset()); !status.ok()) {
+    return status;
+  }
+  bool finished = false;
+  bool broken = false;  // nothing can be sent any more; the end is about to be told
+  while (true) {
+    state = stream.state();
+    NoteProgress(state.watermarks);
+    now_.next_offset = outbox.offset();
+    Report();
+    if (state.ended) return finished;
+    if (const auto rewind = stream.TakeRewind()) {
+      if (absl::Status status = outbox.Seek(*rewind); !status.ok()) return status;
+      finished = false;
+      continue;
+    }
+    if (finished || broken || state.drain) {
+      stream.WaitForNews(state, std::nullopt);
+      continue;
+    }
+    if (!outbox.frame()) {
+      v1::IngestRequest finish;
+      finish.mutable_finish()->set_frame_count(outbox.offset());
+      result_.frame_count = outbox.offset();
+      broken = !stream.Write(finish);
+      finished = true;
+      continue;
+    }
+    if (const nanoseconds wait = pace.Wait(outbox.frame()->log_time_ns); wait > nanoseconds(0)) {
+      stream.WaitForNews(state, wait);
+      continue;
+    }
+    const std::int64_t frame_bytes = PayloadBytes(*outbox.frame());
+    if (limits.max_frame_bytes() > 0 && frame_bytes > limits.max_frame_bytes()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("frame ", outbox.offset(), " of the drive has ", frame_bytes,
+                       " bytes; the server takes ", limits.max_frame_bytes()));
+    }
+    if (std::min(frame_bytes, chunk_bytes) > state.credit_bytes) {
+      stream.WaitForNews(state, std::nullopt);
+      continue;
+    }
+
+    ChunkBuilder chunk(outbox.offset());
+    if (frame_bytes > chunk_bytes) {
+      chunk.AddPart(*outbox.frame(), chunk_bytes, outbox.part());
+      outbox.AdvancePart();
+      if (outbox.part() * chunk_bytes >= frame_bytes) {
+        ++result_.sent_count;
+        if (absl::Status status = outbox.Advance(); !status.ok()) return status;
+      }
+    } else {
+      const std::int64_t room_bytes = std::min(chunk_bytes, state.credit_bytes);
+      while (outbox.frame() && chunk.frame_count() < kMaxChunkFrames &&
+             chunk.payload_bytes() + PayloadBytes(*outbox.frame()) <= room_bytes &&
+             pace.Wait(outbox.frame()->log_time_ns) <= nanoseconds(0)) {
+        chunk.Add(*outbox.frame());
+        ++result_.sent_count;
+        if (absl::Status status = outbox.Advance(); !status.ok()) return status;
+      }
+    }
+    stream.SpendCredit(chunk.payload_bytes());
+    broken = !stream.Write(chunk.Finish());
+  }
+}
+
+void Uploader::Report(const std::string& trouble) {
+  now_.trouble = trouble;
+  if (progress_) progress_(now_);
+}
+
+void Uploader::NoteProgress(const Watermarks& watermarks) {
+  if (watermarks.received > now_.watermarks.received ||
+      watermarks.durable > now_.watermarks.durable ||
+      watermarks.processed > now_.watermarks.processed) {
+    progressed_ = true;
+  }
+  now_.watermarks = watermarks;
+}
+
+std::unique_ptr<grpc::ClientContext> Uploader::MakeContext() const {
+  auto context = std::make_unique<grpc::ClientContext>();
+  if (!options_.token.empty()) {
+    context->AddMetadata("authorization", absl::StrCat("Bearer ", options_.token));
+  }
+  return context;
+}
+
+absl::Status Uploader::FromServer(const grpc::Status& status) {
+  if (status.ok()) return absl::OkStatus();
+  google::rpc::Status details;
+  google::rpc::RetryInfo retry;
+  if (details.ParseFromString(status.error_details())) {
+    for (const google::protobuf::Any& detail : details.details()) {
+      if (!detail.UnpackTo(&retry)) continue;
+      asked_delay_ = milliseconds(std::clamp<std::int64_t>(
+          retry.retry_delay().seconds() * 1000 + retry.retry_delay().nanos() / 1'000'000, 1,
+          options_.max_backoff.count()));
+    }
+  }
+  const std::string& message = status.error_message();
+  const auto code = static_cast<absl::StatusCode>(status.error_code());
+  if (!status.error_details().empty()) return absl::Status(code, message);
+  // Not the server's words but gRPC's, on a connection that is not there or is lost.
+  switch (code) {
+    case absl::StatusCode::kUnavailable:
+    case absl::StatusCode::kUnknown:
+    case absl::StatusCode::kInternal:
+    case absl::StatusCode::kCancelled:
+    case absl::StatusCode::kDeadlineExceeded: {
+      std::string why;
+      if (absl::StrContains(message, "Connection refused")) why = ": connection refused";
+      if (absl::StrContains(message, "DNS resolution failed")) why = ": no such host";
+      if (absl::StrContains(message, "andshake")) why = ": the TLS handshake failed";
+      return absl::UnavailableError(absl::StrCat("cannot reach the server ", options_.server, why));
+    }
+    default:
+      return absl::Status(code, absl::StrCat("the server ", options_.server, " says: ", message));
+  }
+}
+
+}  // namespace soundmap::uplink

@@ -1,0 +1,176 @@
+#include "acoustics/audio_scanner.h"
+
+#include <algorithm>
+#include <cmath>
+#include <span>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "acoustics/evidence.h"
+
+namespace soundmap::acoustics {
+namespace {
+
+constexpr frames::TimeNs kMaxJump_ns = 20'000'000;
+constexpr frames::TimeNs kMaxStamp_ns = std::int64_t{1} << 62;
+
+}  // namespace
+
+AudioScanner::AudioScanner(const AcousticsConfig& config, const FrameLayout& layout,
+                           std::shared_ptr<const SrpPhat> srp)
+    : config_(config),
+      layout_(layout),
+      srp_(std::move(srp)),
+      stft_(layout, srp_->microphones()),
+      clock_(layout.sample_rate_hz) {}
+
+absl::StatusOr<std::unique_ptr<AudioScanner>> AudioScanner::Create(
+    const AcousticsConfig& config, const frames::Calibration& calibration) {
+  absl::Status status = calibration.Validate();
+  if (!status.ok()) return status;
+  if (calibration.mic_in_array_m.empty()) {
+    return absl::InvalidArgumentError("the calibration has no microphones");
+  }
+  absl::StatusOr<FrameLayout> layout =
+      FrameLayout::Create(config, calibration.audio_sample_rate_hz);
+  if (!layout.ok()) return layout.status();
+  absl::StatusOr<std::shared_ptr<const SrpPhat>> srp = SrpPhat::Create(
+      *layout, config.speed_of_sound_mps, calibration.mic_in_array_m, config.MakeGrid());
+  if (!srp.ok()) return srp.status();
+  return std::unique_ptr<AudioScanner>(new AudioScanner(config, *layout, *std::move(srp)));
+}
+
+absl::StatusOr<std::vector<LikelihoodScan>> AudioScanner::Push(const frames::AudioBlock& block) {
+  const int channels = srp_->microphones();
+  if (block.channels != channels || block.sample_rate_hz != layout_.sample_rate_hz) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("an audio block has ", block.channels, " channels at ", block.sample_rate_hz,
+                     " Hz; the calibration has ", channels, " microphones at ",
+                     layout_.sample_rate_hz, " Hz"));
+  }
+  if (block.samples.size() % channels != 0) {
+    return absl::InvalidArgumentError(absl::StrCat("an audio block has ", block.samples.size(),
+                                                   " samples, which do not fill ", channels,
+                                                   " channels"));
+  }
+  if (block.stamp_ns < 0 || block.stamp_ns > kMaxStamp_ns) {
+    return absl::InvalidArgumentError(absl::StrCat("an audio block's stamp is ", block.stamp_ns,
+                                                   " ns, outside the years 1970 to 2116"));
+  }
+  std::vector<LikelihoodScan> scans;
+  if (block.samples.empty()) return scans;
+  if (!clock_.empty()) {
+    const frames::TimeNs jump_ns = block.stamp_ns - clock_.TimeOf(next_sample_);
+    if (block.stamp_ns < last_stamp_ns_ || jump_ns < -kMaxJump_ns) {
+      return absl::InvalidArgumentError(absl::StrFormat(
+          "an audio block's time runs backwards: it starts %.3f s before the end of the last one",
+          -frames::SecondsFromNs(jump_ns)));
+    }
+    if (jump_ns > kMaxJump_ns) {
+      LikelihoodScan lost;
+      lost.begin_ns =
+          clock_.TimeOf(next_sample_ - static_cast<std::int64_t>(pending_.size()) / channels);
+      lost.end_ns = clock_.TimeOf(next_sample_);
+      lost.fault =
+          absl::StrFormat("a gap of %.3f s in the audio", frames::SecondsFromNs(jump_ns));
+      scans.push_back(std::move(lost));
+      pending_.clear();
+      clock_.Restart();
+      next_sample_ = 0;
+    }
+  }
+  clock_.Add({next_sample_, block.stamp_ns});
+  last_stamp_ns_ = block.stamp_ns;
+  pending_.insert(pending_.end(), block.samples.begin(), block.samples.end());
+  next_sample_ += static_cast<std::int64_t>(block.samples.size()) / channels;
+
+  const std::size_t scan_values = static_cast<std::size_t>(layout_.scan_samples()) * channels;
+  const std::size_t period_values =
+      static_cast<std::size_t>(layout_.scan_period_samples()) * channels;
+  std::size_t done = 0;
+  for (; pending_.size() - done >= scan_values; done += period_values) {
+    scans.push_back(
+        Scan(pending_.data() + done,
+             next_sample_ - static_cast<std::int64_t>(pending_.size() - done) / channels));
+  }
+  pending_.erase(pending_.begin(), pending_.begin() + static_cast<std::ptrdiff_t>(done));
+  return scans;
+}
+
+LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t first_sample) {
+  LikelihoodScan result;
+  result.begin_ns = clock_.TimeOf(first_sample);
+  result.end_ns = clock_.TimeOf(first_sample + layout_.scan_samples());
+  result.fault = FaultIn(samples);
+  if (!result.fault.empty()) return result;
+
+  const PhatSpectra spectra = stft_.Analyze(
+      {samples, static_cast<std::size_t>(layout_.scan_samples()) * srp_->microphones()});
+  const AudioScan scan = srp_->Scan(spectra);
+  if (const auto* thresholds = std::get_if<DoubleThreshold>(&config_.evidence)) {
+    result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
+    return result;
+  }
+  const auto& evidence = std::get<PeakEvidence>(config_.evidence);
+  Peaks found = FindPeaks(*srp_, scan, evidence);
+  result.likelihood = PeakLikelihood(*srp_, found.peaks, evidence);
+  result.noise_floor = found.noise_floor;
+  result.peaks = std::move(found.peaks);
+  return result;
+}
+
+std::string AudioScanner::FaultIn(const std::int16_t* samples) const {
+  const int channels = srp_->microphones();
+  const int count = layout_.scan_samples();
+  std::vector<int> run(channels, 1);
+  std::vector<int> longest(channels, 1);
+  for (int s = 1; s < count; ++s) {
+    const std::int16_t* now = samples + static_cast<std::size_t>(s) * channels;
+    for (int n = 0; n < channels; ++n) {
+      run[n] = now[n] == now[n - channels] ? run[n] + 1 : 1;
+      longest[n] = std::max(longest[n], run[n]);
+    }
+  }
+  const auto still = static_cast<int>(std::count_if(
+      longest.begin(), longest.end(), [this](int length) { return length >= layout_.hop_samples(); }));
+  if (still == 0) return {};
+  if (still == channels) return absl::StrCat("all ", channels, " microphones stand still");
+  const int worst =
+      static_cast<int>(std::max_element(longest.begin(), longest.end()) - longest.begin());
+  const std::string others = still > 1 ? absl::StrCat(" and ", still - 1, " more") : "";
+  if (longest[worst] == count) return absl::StrCat("mic_", worst, others, " dead: constant signal");
+  return absl::StrFormat("mic_%d%s stood still for %.4f s: dropped samples", worst, others,
+                         static_cast<double>(longest[worst]) / layout_.sample_rate_hz);
+}
+
+AudioScanner::State AudioScanner::state() const {
+  return {last_stamp_ns_, next_sample_, clock_.points(), pending_};
+}
+
+absl::Status AudioScanner::Restore(State state) {
+  const int channels = srp_->microphones();
+  const bool clock_runs = std::adjacent_find(state.clock.begin(), state.clock.end(),
+                                             [](const auto& a, const auto& b) {
+                                               return b.sample <= a.sample;
+                                             }) == state.clock.end();
+  const bool stamps_valid =
+      std::all_of(state.clock.begin(), state.clock.end(), [&](const AudioClock::Point& point) {
+        return point.stamp_ns >= 0 && point.stamp_ns <= kMaxStamp_ns && point.sample >= 0 &&
+               point.sample < state.next_sample;
+      });
+  const auto pending = static_cast<std::int64_t>(state.pending.size()) / channels;
+  if (!clock_runs || !stamps_valid || state.pending.size() % channels != 0 ||
+      pending >= layout_.scan_samples() || pending > state.next_sample ||
+      state.clock.empty() != (state.next_sample == 0)) {
+    return absl::InvalidArgumentError(
+        "the saved state of the audio scanner does not fit its configuration");
+  }
+  last_stamp_ns_ = state.last_stamp_ns;
+  next_sample_ = state.next_sample;
+  pending_ = std::move(state.pending);
+  clock_.Restore(std::move(state.clock));
+  return absl::OkStatus();
+}
+
+}  // namespace soundmap::acoustics

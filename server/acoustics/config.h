@@ -1,0 +1,89 @@
+#pragma once
+
+#include <optional>
+#include <variant>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "geometry/angles.h"
+#include "geometry/directions.h"
+
+namespace soundmap::acoustics {
+
+// Candidate directions spread evenly over the whole sphere.
+struct EqualAreaGrid {
+  double spacing_rad = geometry::RadFromDeg(2.0);
+};
+
+// Candidate directions by azimuth and elevation, limits included. The defaults are section VI's.
+struct SectorGrid {
+  double azimuth_min_rad = geometry::RadFromDeg(-45.0);
+  double azimuth_max_rad = geometry::RadFromDeg(15.0);
+  double elevation_min_rad = geometry::RadFromDeg(0.0);
+  double elevation_max_rad = geometry::RadFromDeg(75.0);
+  double step_rad = geometry::RadFromDeg(1.0);
+};
+
+// Eq. (6) with the values of section VI. T1 and T2 are absolute powers, so they depend on the number of bins in the band.
+struct DoubleThreshold {
+  double t1 = 20.0;
+  double t2 = 30.0;
+  double p_min = 0.1;
+  double p_med = 0.5;
+  double p_max = 0.999;  // section IV has 0.9
+};
+
+// Deviation from eq. (6): only peaks of the power speak for a source. The noise floor is the median of S over the directions, its spread
+// the standard deviation of the normal distribution with the same distance from the lower quartile to the median; both of the power that
+// is left when the peak at hand is taken off, so that the side lobes of a strong source do not hide weak ones. (6.5 of these spreads find
+// as much in `grill_room` as 4 spreads of the whole power.) The incoherent spread is what noise that is independent at each microphone
+// leaves by theory; it decides where nothing is to be heard: white noise then gives a peak in less than 1 scan of 500.
+struct PeakEvidence {
+  double threshold_spreads = 6.5;             // a peak stands this many spreads above the floor
+  double threshold_incoherent_spreads = 5.0;  // and this many incoherent spreads
+  int max_peaks = 10;
+  double peak_radius_rad = geometry::RadFromDeg(3.0);
+  double undecided_radius_rad = geometry::RadFromDeg(10.0);
+  double p_peak = 0.9;       // within peak_radius_rad of a peak
+  double p_undecided = 0.5;  // within undecided_radius_rad
+  double p_rest = 0.4;
+};
+
+// Sections III and IV. A default-constructed one is the profile `default`.
+struct AcousticsConfig {
+  static AcousticsConfig Default() { return {}; }
+  static AcousticsConfig Paper();
+
+  double window_s = 0.025;  // W over the sample rate, rounded to an even number of samples: 400 at 16 kHz
+  std::optional<int> window_samples;  // W itself, at any rate, in place of window_s; even
+  int frames_per_scan = 10;           // K
+  double f_min_hz = 1000.0;           // eq. (5), inclusive
+  double f_max_hz = 3000.0;           // eq. (5), inclusive
+  double speed_of_sound_mps = 343.0;
+  std::variant<EqualAreaGrid, SectorGrid> grid;
+  std::variant<PeakEvidence, DoubleThreshold> evidence;
+
+  absl::Status Validate() const;
+  geometry::DirectionGrid MakeGrid() const;  // of a valid configuration
+};
+
+// Section III's time and frequency axes at one sample rate.
+struct FrameLayout {
+  int sample_rate_hz = 0;
+  int window_samples = 0;   // W
+  int frames_per_scan = 0;  // K
+  int first_bin = 0;        // of the band; bin b lies at b * sample_rate_hz / W
+  int bins = 0;             // B
+
+  int hop_samples() const { return window_samples / 2; }
+  int scan_period_samples() const { return frames_per_scan * hop_samples(); }
+  int scan_samples() const { return scan_period_samples() + hop_samples(); }
+  double bin_hz(int b) const {
+    return static_cast<double>(first_bin + b) * sample_rate_hz / window_samples;
+  }
+
+  // InvalidArgument: an invalid configuration, a sample rate outside 8 to 192 kHz, no bin in the band, a band above half the sample rate.
+  static absl::StatusOr<FrameLayout> Create(const AcousticsConfig& config, int sample_rate_hz);
+};
+
+}  // namespace soundmap::acoustics

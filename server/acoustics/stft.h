@@ -1,0 +1,51 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "acoustics/config.h"
+
+namespace soundmap::acoustics {
+
+// V_n(f, t) of eq. (1) in the band, for the K frames of one audio scan. Each value has magnitude 1, or 0 where the bin is silent.
+struct PhatSpectra {
+  PhatSpectra(int frames, int microphones, int bins)
+      : frames(frames),
+        microphones(microphones),
+        bins(bins),
+        real(static_cast<std::size_t>(frames) * microphones * bins),
+        imaginary(real.size()) {}
+
+  std::size_t index(int frame, int microphone, int bin = 0) const {
+    return (static_cast<std::size_t>(frame) * microphones + microphone) * bins + bin;
+  }
+
+  int frames;
+  int microphones;
+  int bins;
+  std::vector<float> real;
+  std::vector<float> imaginary;
+};
+
+// The short time Fourier transform with a periodic Hann window, W/2 hop, and the phase transform of eq. (1). One thread at a time.
+class Stft {
+ public:
+  Stft(const FrameLayout& layout, int microphones);
+  ~Stft();
+  Stft(Stft&&) noexcept;
+  Stft& operator=(Stft&&) noexcept;
+
+  // `samples`: interleaved, layout.scan_samples() of every microphone.
+  // Deviation from eq. (1): a bin of magnitude 0, or so small beside its frame that float arithmetic leaves only rounding there, gives 0.
+  PhatSpectra Analyze(std::span<const std::int16_t> samples);
+
+ private:
+  struct Transform;
+  FrameLayout layout_;
+  int microphones_;
+  std::unique_ptr<Transform> transform_;
+};
+
+}  // namespace soundmap::acoustics

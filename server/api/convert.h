@@ -1,0 +1,33 @@
+#pragma once
+
+#include "absl/status/statusor.h"
+#include "pipeline/events.h"
+#include "pipeline/operations.h"
+#include "pipeline/session.h"
+#include "pipeline/site.h"
+#include "soundmap/v1/operation_service.pb.h"
+#include "soundmap/v1/robot_service.pb.h"
+#include "soundmap/v1/session_service.pb.h"
+#include "soundmap/v1/site_service.pb.h"
+#include "soundmap/v1/sound_map_service.pb.h"
+#include "soundmap/v1/types.pb.h"
+
+namespace soundmap::api {
+
+// Between the wire and the server's own types; nothing of the wire goes further in.
+v1::Pose2 ToProto(const geometry::Pose2& pose);
+v1::PoseEstimate ToProto(const localization::PoseEstimate& pose);
+v1::Calibration ToProto(const frames::Calibration& calibration);
+v1::Site ToProto(const pipeline::Site& site);
+v1::Session ToProto(const pipeline::Session& session);
+v1::Robot ToProto(const pipeline::RobotInfo& robot);
+std::string SourceId(std::uint64_t id);  // as it stands in a sound source's name
+v1::SoundSource ToProto(const std::string& site, const sound_map::SoundSource& source);
+v1::AudioScan ToProto(const std::string& site, const pipeline::AudioScanInfo& scan);
+v1::Operation ToProto(const pipeline::OperationInfo& operation);
+
+// InvalidArgument: a number that is not finite, a rotation that is none; an absent transform is the identity.
+absl::StatusOr<geometry::Pose2> FromProto(const v1::Pose2& pose);
+absl::StatusOr<frames::Calibration> FromProto(const v1::Calibration& calibration);
+
+}  // namespace soundmap::api

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <set>
+
+#include <boost/asio/any_io_executor.hpp>
+
+#include "pipeline/sites.h"
+#include "soundmap/v1/ingest_service.grpc.pb.h"
+
+namespace soundmap::api {
+
+class IngestService : public v1::IngestService::CallbackService {
+ public:
+  // `executor` runs what the pipeline wakes.
+  IngestService(pipeline::Sites* sites, boost::asio::any_io_executor executor);
+  ~IngestService() override;
+
+  grpc::ServerBidiReactor<v1::IngestRequest, v1::IngestResponse>* Ingest(
+      grpc::CallbackServerContext* context) override;
+
+  // Tells every robot to send no more, and ends its stream.
+  void Drain();
+
+ private:
+  class Stream;
+
+  pipeline::Sites* const sites_;
+  const boost::asio::any_io_executor executor_;
+  std::mutex mutex_;
+  std::set<Stream*> streams_;  // guarded by mutex_
+  bool draining_ = false;      // guarded by mutex_
+};
+
+}  // namespace soundmap::api

@@ -1,0 +1,153 @@
+#include "api/map_service.h"
+
+#include <optional>
+
+#include "absl/strings/str_cat.h"
+#include "api/convert.h"
+#include "api/find.h"
+#include "api/map_files.h"
+#include "api/reactors.h"
+#include "building/files.h"
+
+namespace soundmap::api {
+namespace {
+
+constexpr std::size_t kExportChunkBytes = 256 << 10;
+constexpr std::size_t kMaxImportBytes = std::size_t{1} << 30;
+
+}  // namespace
+
+grpc::ServerUnaryReactor* MapService::BuildMap(grpc::CallbackServerContext* context,
+                                               const v1::BuildMapRequest* request,
+                                               v1::Operation* response) {
+  const auto site = FindSite(*sites_, request->site());
+  if (!site.ok()) return Finish(context, site.status());
+  const std::string site_name = (*site)->record().site;
+  std::string session;
+  if (!request->session().empty()) {
+    const auto name = ParseSession(request->session());
+    if (!name.ok()) return Finish(context, name.status());
+    if (name->site != site_name) {
+      return Finish(context,
+                    absl::InvalidArgumentError(absl::StrCat("session '", request->session(),
+                                                            "' is not one of site '", site_name,
+                                                            "'")));
+    }
+    session = name->session;
+  }
+  std::vector<mapping::StampedPose> surveyed;
+  for (const v1::SurveyedPose& proto : request->surveyed_poses()) {
+    const auto pose = FromProto(proto.map_from_base());
+    if (!pose.ok()) return Finish(context, pose.status());
+    surveyed.push_back({proto.time_ns(), *pose});
+  }
+  const auto operation = operations_->Start(
+      "build_map", site_name, request->request_id(),
+      [site = *site, session, surveyed](pipeline::OperationContext& operation_context) {
+        return site->BuildMap(session, surveyed, operation_context);
+      });
+  if (!operation.ok()) return Finish(context, operation.status());
+  *response = ToProto(*operation);
+  return Finish(context, absl::OkStatus());
+}
+
+// Collects the file, then starts the operation that reads it.
+class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> {
+ public:
+  Import(MapService* service, v1::Operation* response) : service_(service), response_(response) {
+    StartRead(&request_);
+  }
+
+  void OnReadDone(bool ok) override {
+    if (!ok) {
+      Finish(ToGrpcStatus(StartOperation()));
+      return;
+    }
+    if (request_.has_header()) {
+      header_ = request_.header();
+    } else {
+      data_.append(request_.data());
+    }
+    if (data_.size() > kMaxImportBytes) {
+      Finish(ToGrpcStatus(absl::InvalidArgumentError(
+          absl::StrCat("the map file is larger than ", kMaxImportBytes, " bytes"))));
+      return;
+    }
+    StartRead(&request_);
+  }
+  void OnDone() override { delete this; }
+
+ private:
+  absl::Status StartOperation() {
+    if (!header_) return absl::InvalidArgumentError("the import has no header");
+    const auto site = FindSite(*service_->sites_, header_->site());
+    if (!site.ok()) return site.status();
+    const auto format = building::MapFormatOfPath(absl::StrCat("map.", header_->format()));
+    if (!format) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("a map of the format '", header_->format(),
+                       "' cannot be imported; bt, ot, ply, pcd and yaml can"));
+    }
+    std::string picture;
+    if (*format == building::MapFormat::kRosYaml) {
+      if (header_->image_offset() < 0 ||
+          header_->image_offset() > static_cast<std::int64_t>(data_.size())) {
+        return absl::InvalidArgumentError("image_offset lies outside the data");
+      }
+      picture = data_.substr(static_cast<std::size_t>(header_->image_offset()));
+      data_.resize(static_cast<std::size_t>(header_->image_offset()));
+    }
+    const auto operation = service_->operations_->Start(
+        "import_map", (*site)->record().site, header_->request_id(),
+        [site = *site, format = *format, data = std::move(data_),
+         picture = std::move(picture)](
+            pipeline::OperationContext&) -> absl::StatusOr<std::string> {
+          auto building =
+              building::ImportBuilding(format, data, picture, site->profile().import);
+          if (!building.ok()) return building.status();
+          const absl::Status activated = site->ActivateBuilding(*std::move(building));
+          if (!activated.ok()) return activated;
+          return std::string("{}");
+        });
+    if (!operation.ok()) return operation.status();
+    *response_ = ToProto(*operation);
+    return absl::OkStatus();
+  }
+
+  MapService* const service_;
+  v1::Operation* const response_;
+  v1::ImportMapRequest request_;
+  std::optional<v1::ImportMapHeader> header_;
+  std::string data_;
+};
+
+grpc::ServerReadReactor<v1::ImportMapRequest>* MapService::ImportMap(grpc::CallbackServerContext*,
+                                                                     v1::Operation* response) {
+  return new Import(this, response);
+}
+
+grpc::ServerWriteReactor<v1::ExportMapResponse>* MapService::ExportMap(
+    grpc::CallbackServerContext*, const v1::ExportMapRequest* request) {
+  using Reactor = StreamReactor<v1::ExportMapResponse>;
+  const auto site = FindSite(*sites_, request->site());
+  if (!site.ok()) return new Reactor(site.status());
+  auto files = ExportMapFiles(**site, *request);
+  if (!files.ok()) return new Reactor(files.status());
+  return new Reactor([files = *std::move(files), file = std::size_t{0}, sent = std::size_t{0}](
+                         v1::ExportMapResponse& response) mutable -> absl::StatusOr<bool> {
+    if (file == files.files.size()) return false;
+    const ExportFile& from = files.files[file];
+    response.set_revision(files.revision);
+    response.set_as_of_ns(files.as_of_ns);
+    if (sent == 0) response.set_file_suffix(from.suffix);
+    response.set_data(from.bytes.substr(sent, kExportChunkBytes));
+    sent += response.data().size();
+    if (sent >= from.bytes.size()) {
+      ++file;
+      sent = 0;
+    }
+    return true;
+  });
+}
+
+}  // namespace soundmap::api

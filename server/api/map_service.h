@@ -1,0 +1,29 @@
+#pragma once
+
+#include "pipeline/operations.h"
+#include "pipeline/sites.h"
+#include "soundmap/v1/map_service.grpc.pb.h"
+
+namespace soundmap::api {
+
+class MapService : public v1::MapService::CallbackService {
+ public:
+  MapService(pipeline::Sites* sites, pipeline::Operations* operations)
+      : sites_(sites), operations_(operations) {}
+
+  grpc::ServerUnaryReactor* BuildMap(grpc::CallbackServerContext* context,
+                                     const v1::BuildMapRequest* request,
+                                     v1::Operation* response) override;
+  grpc::ServerReadReactor<v1::ImportMapRequest>* ImportMap(grpc::CallbackServerContext* context,
+                                                           v1::Operation* response) override;
+  grpc::ServerWriteReactor<v1::ExportMapResponse>* ExportMap(
+      grpc::CallbackServerContext* context, const v1::ExportMapRequest* request) override;
+
+ private:
+  class Import;
+
+  pipeline::Sites* const sites_;
+  pipeline::Operations* const operations_;
+};
+
+}  // namespace soundmap::api

@@ -1,0 +1,55 @@
+#pragma once
+
+#include <functional>
+#include <utility>
+
+#include <grpcpp/grpcpp.h>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "api/status.h"
+
+namespace soundmap::api {
+
+// Ends a unary call with this status.
+inline grpc::ServerUnaryReactor* Finish(grpc::CallbackServerContext* context,
+                                        const absl::Status& status) {
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  reactor->Finish(ToGrpcStatus(status));
+  return reactor;
+}
+
+// Streams what `next` makes, one message at a time, until it returns false or an error.
+template <typename Message>
+class StreamReactor : public grpc::ServerWriteReactor<Message> {
+ public:
+  using Next = std::function<absl::StatusOr<bool>(Message&)>;
+
+  explicit StreamReactor(Next next) : next_(std::move(next)) { Write(); }
+  explicit StreamReactor(const absl::Status& status) { this->Finish(ToGrpcStatus(status)); }
+
+  void OnWriteDone(bool ok) override {
+    if (ok) {
+      Write();
+    } else {
+      this->Finish(grpc::Status(grpc::StatusCode::CANCELLED, "the client is gone"));
+    }
+  }
+  void OnDone() override { delete this; }
+
+ private:
+  void Write() {
+    message_.Clear();
+    const absl::StatusOr<bool> more = next_(message_);
+    if (!more.ok() || !*more) {
+      this->Finish(ToGrpcStatus(more.status()));
+    } else {
+      this->StartWrite(&message_);
+    }
+  }
+
+  Next next_;
+  Message message_;
+};
+
+}  // namespace soundmap::api

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include <boost/asio/any_io_executor.hpp>
+
+#include "absl/status/statusor.h"
+#include "pipeline/operations.h"
+#include "pipeline/sites.h"
+#include "storage/store.h"
+
+namespace soundmap::api {
+
+struct TlsFiles {
+  std::string certificate;  // PEM; empty: plain text
+  std::string key;
+  std::string client_ca;  // robots and apps must show a certificate that it signed; empty: none asked for
+};
+
+// The gRPC services of soundmap.v1, with health checking and reflection.
+class Server {
+ public:
+  struct Parts {
+    pipeline::Sites* sites = nullptr;
+    pipeline::Operations* operations = nullptr;
+    const storage::Store* store = nullptr;
+    boost::asio::any_io_executor executor;
+    std::function<std::int64_t()> now_ns;
+    std::string server_id;  // of this run of the server
+  };
+
+  // Serves at once. Unavailable: the address cannot be bound. InvalidArgument, NotFound: the TLS files.
+  static absl::StatusOr<std::unique_ptr<Server>> Start(const std::string& address,
+                                                       const TlsFiles& tls, const Parts& parts);
+  virtual ~Server() = default;
+
+  // HOST:PORT as bound.
+  virtual std::string address() const = 0;
+  // Health says NOT_SERVING, robots are told to go, calls that run get two seconds. Once.
+  virtual void Shutdown() = 0;
+};
+
+}  // namespace soundmap::api

@@ -1,0 +1,188 @@
+#include "api/sound_map_service.h"
+
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "api/convert.h"
+#include "api/find.h"
+#include "api/paging.h"
+#include "api/reactors.h"
+#include "pipeline/archive.h"
+#include "sound_map/voxel_query.h"
+
+namespace soundmap::api {
+namespace {
+
+constexpr int kVoxelsPerChunk = 8192;
+
+absl::StatusOr<sound_map::VoxelQuery> QueryFrom(const v1::QueryVoxelsRequest& request) {
+  sound_map::VoxelQuery query;
+  query.limit = kVoxelsPerChunk;
+  if (request.has_box()) {
+    const v1::Vector3& min = request.box().min_m();
+    const v1::Vector3& max = request.box().max_m();
+    query.min_in_map_m = {min.x(), min.y(), min.z()};
+    query.max_in_map_m = {max.x(), max.y(), max.z()};
+  } else {
+    query.min_in_map_m.setConstant(-std::numeric_limits<double>::max());
+    query.max_in_map_m.setConstant(std::numeric_limits<double>::max());
+  }
+  if (request.min_updates() < 0 ||
+      request.min_updates() > std::numeric_limits<std::uint32_t>::max()) {
+    return absl::InvalidArgumentError("min_updates is out of range");
+  }
+  query.min_updates = static_cast<std::uint32_t>(request.min_updates());
+  query.min_probability = request.min_probability();
+  return query;
+}
+
+void Append(const sound_map::VoxelPage& page, v1::VoxelChunk& chunk) {
+  for (std::size_t i = 0; i < page.keys.size(); ++i) {
+    chunk.add_x_key(page.keys[i].x);
+    chunk.add_y_key(page.keys[i].y);
+    chunk.add_z_key(page.keys[i].z);
+    chunk.add_log_odds(page.voxels[i].log_odds);
+    chunk.add_update_count(page.voxels[i].update_count);
+    chunk.add_last_update_ns(page.voxels[i].last_update_ns);
+  }
+}
+
+// "t_k:sequence" of the last scan of the page before.
+struct ScanPosition {
+  frames::TimeNs time_ns = std::numeric_limits<frames::TimeNs>::min();
+  std::uint64_t sequence = 0;
+
+  auto operator<=>(const ScanPosition&) const = default;
+};
+
+absl::StatusOr<ScanPosition> PositionFrom(const std::string& token) {
+  ScanPosition position;
+  if (token.empty()) return position;
+  const std::vector<std::string> parts = absl::StrSplit(token, ':');
+  if (parts.size() != 2 || !absl::SimpleAtoi(parts[0], &position.time_ns) ||
+      !absl::SimpleAtoi(parts[1], &position.sequence)) {
+    return absl::InvalidArgumentError(absl::StrCat("the page token '", token, "' is not ours"));
+  }
+  return position;
+}
+
+}  // namespace
+
+grpc::ServerUnaryReactor* SoundMapService::GetSoundSource(grpc::CallbackServerContext* context,
+                                                          const v1::GetSoundSourceRequest* request,
+                                                          v1::SoundSource* response) {
+  const auto name = ParseSoundSource(request->name());
+  if (!name.ok()) return Finish(context, name.status());
+  const auto site = sites_->Get(name->site);
+  if (!site.ok()) return Finish(context, site.status());
+  for (const sound_map::SoundSource& source : (*site)->region().sources()->sources) {
+    if (SourceId(source.id) != name->source) continue;
+    *response = ToProto(name->site, source);
+    return Finish(context, absl::OkStatus());
+  }
+  return Finish(context, absl::NotFoundError(absl::StrCat("sound source '", name->source,
+                                                          "' does not exist at site '", name->site,
+                                                          "'")));
+}
+
+grpc::ServerUnaryReactor* SoundMapService::ListSoundSources(
+    grpc::CallbackServerContext* context, const v1::ListSoundSourcesRequest* request,
+    v1::ListSoundSourcesResponse* response) {
+  const auto site = FindSite(*sites_, request->site());
+  if (!site.ok()) return Finish(context, site.status());
+  const std::string site_name = (*site)->record().site;
+  const auto all = (*site)->region().sources();
+  std::vector<const sound_map::SoundSource*> sources;
+  for (const sound_map::SoundSource& source : all->sources) {
+    if (source.probability < request->min_probability()) continue;
+    if (source.last_heard_ns < request->since_ns()) continue;
+    sources.push_back(&source);
+  }
+  const auto page = PageOf(sources.size(), request->page_size(), request->page_token());
+  if (!page.ok()) return Finish(context, page.status());
+  for (std::size_t i = page->begin; i < page->end; ++i) {
+    *response->add_sound_sources() = ToProto(site_name, *sources[i]);
+  }
+  response->set_next_page_token(page->next_token);
+  response->set_revision(static_cast<std::int64_t>(all->revision));
+  response->set_as_of_ns(all->as_of_ns.value_or(0));
+  return Finish(context, absl::OkStatus());
+}
+
+grpc::ServerWriteReactor<v1::VoxelChunk>* SoundMapService::QueryVoxels(
+    grpc::CallbackServerContext*, const v1::QueryVoxelsRequest* request) {
+  using Reactor = StreamReactor<v1::VoxelChunk>;
+  const auto site = FindSite(*sites_, request->site());
+  if (!site.ok()) return new Reactor(site.status());
+  const auto query = QueryFrom(*request);
+  if (!query.ok()) return new Reactor(query.status());
+  // Every chunk is of the same snapshot. The first tells the revision even where there is no voxel.
+  return new Reactor([map = (*site)->region().snapshot(), query = *query, first = true,
+                      more = true](v1::VoxelChunk& chunk) mutable -> absl::StatusOr<bool> {
+    if (!more) return false;
+    const auto page = sound_map::FindVoxels(*map, query);
+    if (!page.ok()) return page.status();
+    more = page->more;
+    if (!page->keys.empty()) query.after = page->keys.back();
+    chunk.set_revision(static_cast<std::int64_t>(map->revision()));
+    chunk.set_as_of_ns(map->as_of_ns().value_or(0));
+    chunk.set_voxel_size_m(map->voxel_size_m());
+    Append(*page, chunk);
+    return std::exchange(first, false) || !page->keys.empty();
+  });
+}
+
+grpc::ServerUnaryReactor* SoundMapService::ListAudioScans(grpc::CallbackServerContext* context,
+                                                          const v1::ListAudioScansRequest* request,
+                                                          v1::ListAudioScansResponse* response) {
+  const auto site = FindSite(*sites_, request->site());
+  if (!site.ok()) return Finish(context, site.status());
+  std::optional<SessionName> session;
+  if (!request->session().empty()) {
+    const auto name = ParseSession(request->session());
+    if (!name.ok()) return Finish(context, name.status());
+    session = *name;
+  }
+  const auto page_size = PageSize(request->page_size());
+  if (!page_size.ok()) return Finish(context, page_size.status());
+  const auto after = PositionFrom(request->page_token());
+  if (!after.ok()) return Finish(context, after.status());
+
+  const std::string site_name = (*site)->record().site;
+  const frames::TimeNs end_ns = request->end_ns() == 0
+                                    ? std::numeric_limits<frames::TimeNs>::max()
+                                    : request->end_ns();
+  ScanPosition last = *after;
+  // Cancelled is how this reading is stopped when the page is full.
+  const absl::Status read = store_->ReadJournalRange(
+      site_name, std::max(request->start_ns(), after->time_ns), end_ns,
+      [&](const storage::JournalRecord& record) -> absl::Status {
+        const ScanPosition position{record.entry.evidence.stamp_ns, record.sequence};
+        if (position <= *after) return absl::OkStatus();
+        if (session && (record.session != session->session || site_name != session->site)) {
+          return absl::OkStatus();
+        }
+        if (response->audio_scans_size() == *page_size) {
+          response->set_next_page_token(absl::StrCat(last.time_ns, ":", last.sequence));
+          return absl::CancelledError("");
+        }
+        auto scan = pipeline::DecodeAudioScan(record.entry.summary);
+        if (!scan.ok()) return scan.status();
+        scan->session = record.session;
+        scan->time_ns = position.time_ns;
+        *response->add_audio_scans() = ToProto(site_name, *scan);
+        last = position;
+        return absl::OkStatus();
+      });
+  if (!read.ok() && !absl::IsCancelled(read)) return Finish(context, read);
+  const auto map = (*site)->region().snapshot();
+  response->set_revision(static_cast<std::int64_t>(map->revision()));
+  response->set_as_of_ns(map->as_of_ns().value_or(0));
+  return Finish(context, absl::OkStatus());
+}
+
+}  // namespace soundmap::api

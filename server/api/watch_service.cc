@@ -1,0 +1,206 @@
+#include "api/watch_service.h"
+
+#include <chrono>
+#include <deque>
+#include <mutex>
+#include <optional>
+
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+#include "api/convert.h"
+#include "api/find.h"
+#include "api/status.h"
+
+namespace soundmap::api {
+namespace {
+
+constexpr std::chrono::seconds kHeartbeat(10);
+constexpr std::size_t kEventsPerRead = 64;
+
+}  // namespace
+
+// One watcher. It reads the site's ring of events at its own pace and holds a page of it at most.
+class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
+                             public std::enable_shared_from_this<WatchService::Stream> {
+ public:
+  Stream(const WatchService& service, std::shared_ptr<pipeline::Site> site,
+         const v1::WatchRequest& request)
+      : executor_(service.executor_),
+        token_prefix_(absl::StrCat(service.server_id_, ":")),
+        site_(std::move(site)),
+        site_name_(site_->record().site),
+        wants_all_(!request.sound_sources() && !request.robots() && !request.audio_scans()),
+        wants_sources_(request.sound_sources()),
+        wants_robots_(request.robots()),
+        wants_scans_(request.audio_scans()),
+        heartbeat_(executor_) {}
+
+  void Start(const std::string& resume_token) {
+    alive_ = shared_from_this();
+    absl::string_view position = resume_token;
+    const bool ours = absl::ConsumePrefix(&position, token_prefix_) &&
+                      absl::SimpleAtoi(position, &next_) &&
+                      !site_->region().events().Read(next_, 0).lost;
+    if (!ours) QueueSnapshot();
+    subscription_ = site_->region().events().Subscribe([weak = weak_from_this(),
+                                                        executor = executor_] {
+      boost::asio::post(executor, [weak] {
+        if (const auto self = weak.lock()) self->Pump();
+      });
+    });
+    Pump();
+    std::lock_guard lock(mutex_);
+    ArmHeartbeat();
+  }
+
+  void OnWriteDone(bool ok) override {
+    std::lock_guard lock(mutex_);
+    writing_ = false;
+    if (!ok) End(grpc::Status(grpc::StatusCode::CANCELLED, "the watcher is gone"));
+    if (end_status_) {
+      FinishOnce();
+    } else {
+      WriteNext();
+    }
+  }
+  void OnCancel() override {
+    std::lock_guard lock(mutex_);
+    End(grpc::Status(grpc::StatusCode::CANCELLED, "the watcher is gone"));
+  }
+  void OnDone() override {
+    site_->region().events().Unsubscribe(subscription_);
+    {
+      std::lock_guard lock(mutex_);
+      heartbeat_.cancel();
+    }
+    alive_.reset();
+  }
+
+ private:
+  void QueueSnapshot() {
+    next_ = site_->region().events().next();
+    const auto sources = site_->region().sources();
+    for (const sound_map::SoundSource& source : sources->sources) Queue(source);
+    for (const pipeline::RobotInfo& robot : site_->Robots()) Queue(robot);
+    v1::WatchEvent& complete = queue_.emplace_back();
+    complete.mutable_snapshot_complete();
+  }
+
+  void Queue(const pipeline::Event& event) {
+    v1::WatchEvent proto;
+    if (const auto* source = std::get_if<sound_map::SoundSource>(&event)) {
+      if (!wants_all_ && !wants_sources_) return;
+      *proto.mutable_sound_source() = ToProto(site_name_, *source);
+    } else if (const auto* removed = std::get_if<pipeline::SourceRemoved>(&event)) {
+      if (!wants_all_ && !wants_sources_) return;
+      proto.set_removed_sound_source(SoundSourceResource(site_name_, SourceId(removed->id)));
+    } else if (const auto* robot = std::get_if<pipeline::RobotInfo>(&event)) {
+      if (!wants_all_ && !wants_robots_) return;
+      *proto.mutable_robot() = ToProto(*robot);
+    } else if (const auto* scan = std::get_if<pipeline::AudioScanInfo>(&event)) {
+      if (!wants_all_ && !wants_scans_) return;
+      *proto.mutable_audio_scan() = ToProto(site_name_, *scan);
+    }
+    queue_.push_back(std::move(proto));
+  }
+
+  void Pump() {
+    std::lock_guard lock(mutex_);
+    WriteNext();
+  }
+
+  // With mutex_ held.
+  void WriteNext() {
+    if (writing_ || end_status_) return;
+    while (queue_.empty() && !resync_) {
+      const auto batch = site_->region().events().Read(next_, kEventsPerRead);
+      if (batch.lost) {
+        resync_ = true;
+        queue_.emplace_back().mutable_resync();
+        break;
+      }
+      if (batch.events.empty()) break;
+      for (const pipeline::Event& event : batch.events) Queue(event);
+      next_ = batch.next;
+    }
+    if (queue_.empty() && std::exchange(heartbeat_due_, false)) {
+      queue_.emplace_back().mutable_heartbeat();
+    }
+    if (queue_.empty()) {
+      if (resync_) End(grpc::Status::OK);
+      return;
+    }
+    event_ = std::move(queue_.front());
+    queue_.pop_front();
+    event_.set_revision(static_cast<std::int64_t>(site_->region().snapshot()->revision()));
+    // In the middle of a page the token would skip the rest of it.
+    if (queue_.empty()) event_.set_resume_token(absl::StrCat(token_prefix_, next_));
+    writing_ = true;
+    StartWrite(&event_);
+  }
+
+  // With mutex_ held.
+  void ArmHeartbeat() {
+    heartbeat_.expires_after(kHeartbeat);
+    heartbeat_.async_wait([weak = weak_from_this()](boost::system::error_code cancelled) {
+      const auto self = weak.lock();
+      if (cancelled || !self) return;
+      std::lock_guard lock(self->mutex_);
+      self->heartbeat_due_ = true;
+      self->WriteNext();
+      if (!self->end_status_) self->ArmHeartbeat();
+    });
+  }
+  void End(const grpc::Status& status) {
+    if (!end_status_) end_status_ = status;
+    if (!writing_) FinishOnce();
+  }
+  void FinishOnce() {
+    if (!std::exchange(finished_, true)) Finish(*end_status_);
+  }
+
+  const boost::asio::any_io_executor executor_;
+  const std::string token_prefix_;
+  const std::shared_ptr<pipeline::Site> site_;
+  const std::string site_name_;
+  const bool wants_all_;
+  const bool wants_sources_;
+  const bool wants_robots_;
+  const bool wants_scans_;
+  std::shared_ptr<Stream> alive_;
+  int subscription_ = 0;
+
+  std::mutex mutex_;
+  // Guarded by mutex_.
+  std::deque<v1::WatchEvent> queue_;
+  std::int64_t next_ = 0;  // in the site's ring
+  v1::WatchEvent event_;
+  bool writing_ = false;
+  bool resync_ = false;
+  bool heartbeat_due_ = false;
+  bool finished_ = false;
+  std::optional<grpc::Status> end_status_;
+  boost::asio::steady_timer heartbeat_;
+};
+
+grpc::ServerWriteReactor<v1::WatchEvent>* WatchService::Watch(grpc::CallbackServerContext*,
+                                                              const v1::WatchRequest* request) {
+  auto site = FindSite(*sites_, request->site());
+  if (!site.ok()) {
+    class Refusal : public grpc::ServerWriteReactor<v1::WatchEvent> {
+     public:
+      explicit Refusal(const absl::Status& status) { Finish(ToGrpcStatus(status)); }
+      void OnDone() override { delete this; }
+    };
+    return new Refusal(site.status());
+  }
+  auto stream = std::make_shared<Stream>(*this, *std::move(site), *request);
+  stream->Start(request->resume_token());
+  return stream.get();
+}
+
+}  // namespace soundmap::api

@@ -1,0 +1,160 @@
+#include <chrono>
+#include <csignal>
+#include <future>
+#include <iostream>
+#include <random>
+#include <thread>
+
+#include <CLI/CLI.hpp>
+#include <boost/asio/signal_set.hpp>
+#include <boost/asio/thread_pool.hpp>
+#include <nlohmann/json.hpp>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include "absl/strings/str_cat.h"
+#include "api/decode_frame.h"
+#include "api/server.h"
+#include "config.h"
+#include "pipeline/operations.h"
+#include "pipeline/sites.h"
+#include "storage/store.h"
+#include "web_gateway/http_gateway.h"
+
+namespace soundmap {
+namespace {
+
+std::int64_t NowNs() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+             std::chrono::system_clock::now().time_since_epoch())
+      .count();
+}
+
+absl::Status Serve(const ServerConfig& config) {
+  auto store = storage::Store::Open(config.data_dir);
+  if (!store.ok()) return store.status();
+
+  const unsigned cores = std::max(1u, std::thread::hardware_concurrency());
+  boost::asio::thread_pool pool(config.threads > 0 ? config.threads : cores);
+  // Before any other thread exists in gRPC, so that the signals come here.
+  boost::asio::signal_set signals(pool, SIGTERM, SIGINT);
+  std::promise<int> stop;
+  signals.async_wait([&stop](boost::system::error_code error, int signal) {
+    if (!error) stop.set_value(signal);
+  });
+
+  pipeline::Sites::Options options;
+  options.executor = pool.get_executor();
+  options.decode = [](const recording::Message& message, const frames::Calibration& calibration) {
+    return api::DecodeFrame(message.schema, message.data, calibration);
+  };
+  options.profile = [&config](const std::string& name) -> absl::StatusOr<pipeline::Profile> {
+    const auto found = config.profiles.find(name);
+    if (found == config.profiles.end()) return pipeline::ProfileByName(name);
+    return found->second;
+  };
+  options.now_ns = NowNs;
+  spdlog::info("recovering from {}", config.data_dir);
+  auto sites = pipeline::Sites::Open(store->get(), std::move(options));
+  if (!sites.ok()) return sites.status();
+
+  std::atomic<bool> ready = false;
+  {
+    pipeline::Operations operations(NowNs, pool.get_executor());
+    api::Server::Parts parts;
+    parts.sites = sites->get();
+    parts.operations = &operations;
+    parts.store = store->get();
+    parts.executor = pool.get_executor();
+    parts.now_ns = NowNs;
+    parts.server_id = absl::StrCat(absl::Hex(NowNs()));
+    auto server = api::Server::Start(config.grpc_address, config.tls, parts);
+    if (!server.ok()) return server.status();
+    auto gateway = web_gateway::HttpGateway::Start(pool.get_executor(), config.http_address,
+                                                   [&ready] { return ready.load(); });
+    if (!gateway.ok()) {
+      (*server)->Shutdown();
+      return gateway.status();
+    }
+
+    ready = true;
+    std::cout << nlohmann::json{{"event", "ready"},
+                                {"grpc", (*server)->address()},
+                                {"http", (*gateway)->address()}}
+                     .dump()
+              << std::endl;
+    spdlog::info("serving gRPC on {}, HTTP on {}", (*server)->address(), (*gateway)->address());
+
+    const int signal = stop.get_future().get();
+    spdlog::info("signal {}: stopping", signal);
+    ready = false;
+    (*server)->Shutdown();
+  }
+  (*sites)->Stop();
+  sites->reset();
+  pool.join();
+  store->reset();
+  spdlog::info("stopped");
+  return absl::OkStatus();
+}
+
+int Main(int argc, char** argv) {
+  ServerConfig config = DefaultServerConfig();
+  std::string config_path;
+  CLI::App app("The sound map server: robots stream their sensors to it, apps ask it where the sound sources are.", "soundmap-server");
+  // Flags are read into a configuration of their own first, since the file stands below them.
+  ServerConfig flags;
+  app.add_option("--config", config_path, "TOML file with these settings and the profiles' parameters");
+  auto* data_dir = app.add_option("--data-dir", flags.data_dir, "folder of the embedded store");
+  auto* grpc = app.add_option("--grpc", flags.grpc_address, "gRPC address, HOST:PORT; port 0 for any")->capture_default_str();
+  auto* http = app.add_option("--http", flags.http_address, "HTTP address, HOST:PORT; port 0 for any")->capture_default_str();
+  auto* cert = app.add_option("--tls-cert", flags.tls.certificate, "the server's certificate, PEM");
+  auto* key = app.add_option("--tls-key", flags.tls.key, "its private key, PEM");
+  auto* client_ca = app.add_option("--tls-client-ca", flags.tls.client_ca, "who signs the clients' certificates, PEM");
+  auto* insecure = app.add_flag("--insecure", flags.insecure, "allow plain text beyond the loopback interface");
+  auto* threads = app.add_option("--threads", flags.threads, "threads of the pipeline; 0: one a core");
+  auto* log_level = app.add_option("--log-level", flags.log_level, "trace, debug, info, warning, error")->capture_default_str();
+  std::string print_profile;
+  app.add_option("--print-profile", print_profile, "print the parameters of a profile as TOML, and end");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  const auto fail = [](const absl::Status& status) {
+    std::cerr << "soundmap-server: " << status.message() << '\n';
+    return absl::IsInvalidArgument(status) ? 2 : 1;
+  };
+  if (!config_path.empty()) {
+    const absl::Status read = config.ReadFile(config_path);
+    if (!read.ok()) return fail(read);
+  }
+  if (*data_dir) config.data_dir = flags.data_dir;
+  if (*grpc) config.grpc_address = flags.grpc_address;
+  if (*http) config.http_address = flags.http_address;
+  if (*cert) config.tls.certificate = flags.tls.certificate;
+  if (*key) config.tls.key = flags.tls.key;
+  if (*client_ca) config.tls.client_ca = flags.tls.client_ca;
+  if (*insecure) config.insecure = flags.insecure;
+  if (*threads) config.threads = flags.threads;
+  if (*log_level) config.log_level = flags.log_level;
+  if (!print_profile.empty()) {
+    const auto profile = config.profiles.find(print_profile);
+    if (profile == config.profiles.end()) {
+      return fail(pipeline::ProfileByName(print_profile).status());
+    }
+    std::cout << pipeline::ToToml(profile->second);
+    return 0;
+  }
+  const absl::Status valid = config.Validate();
+  if (!valid.ok()) return fail(valid);
+  spdlog::set_default_logger(spdlog::stderr_color_mt("soundmap"));
+  spdlog::set_level(spdlog::level::from_str(config.log_level));
+  const absl::Status served = Serve(config);
+  return served.ok() ? 0 : fail(served);
+}
+
+}  // namespace
+}  // namespace soundmap
+
+int main(int argc, char** argv) { return soundmap::Main(argc, argv); }

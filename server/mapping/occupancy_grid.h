@@ -1,0 +1,67 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include <Eigen/Core>
+#include <boost/unordered/unordered_flat_map.hpp>
+
+#include "absl/status/status.h"
+#include "geometry/voxel_key.h"
+
+namespace octomap {
+class OcTree;
+}
+
+namespace soundmap::mapping {
+
+// One LIDAR point and the way to it, in `map`.
+struct Ray {
+  Eigen::Vector3f origin_in_map;
+  Eigen::Vector3f end_in_map;
+  // The last part of the way that is not taken as free: a ray that grazes a surface passes through its voxels.
+  float margin_m = 0.0f;
+};
+
+struct OccupancyConfig {
+  // OctoMap's sensor model: hit 0.7, miss 0.4, clamped to 0.12 .. 0.97, as log-odds. Clamped, so that what moved away is unlearned.
+  double hit_log_odds = 0.85;
+  double miss_log_odds = -0.4;
+  double min_log_odds = -2.0;
+  double max_log_odds = 3.5;
+  int max_blocks = 1 << 20;  // of 8^3 voxels and 2 KiB each
+
+  absl::Status Validate() const;
+};
+
+// Occupied, free and unknown voxels from rays. Within a scan a voxel counts once, and a point in it outweighs the rays that pass through it.
+class OccupancyGrid {
+ public:
+  OccupancyGrid(double voxel_size_m, const OccupancyConfig& config);
+  ~OccupancyGrid();
+
+  // Rays that leave the range of voxel keys are left out. ResourceExhausted: the map has grown beyond max_blocks.
+  absl::Status InsertScan(std::span<const Ray> rays);
+
+  // Pruned. Each known voxel is as surely occupied or free as OctoMap allows (its clamping thresholds).
+  std::shared_ptr<octomap::OcTree> ToOctree() const;
+
+ private:
+  struct Block;
+
+  Block* BlockAt(int x, int y, int z);
+  void Update(Block& block, int x, int y, int z, int change);
+  bool CastFree(const Ray& ray);
+
+  double voxel_size_m_;
+  int hit_, miss_, min_, max_;  // log-odds in steps of 1e-3
+  std::size_t max_blocks_;
+  std::uint16_t scan_ = 0;
+  boost::unordered_flat_map<geometry::VoxelKey, std::uint32_t, std::hash<geometry::VoxelKey>>
+      block_index_;  // by key / 8
+  std::vector<std::unique_ptr<Block>> blocks_;
+};
+
+}  // namespace soundmap::mapping

@@ -1,0 +1,15 @@
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include <Eigen/Core>
+
+namespace soundmap::mapping {
+
+// Indices of points of which each is the first in its cube of this size, in order. Points too far out for a voxel key are left out.
+std::vector<std::uint32_t> FirstPointPerCube(std::span<const Eigen::Vector3f> points,
+                                             double cube_size_m);
+
+}  // namespace soundmap::mapping

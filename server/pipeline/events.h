@@ -1,0 +1,74 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "acoustics/likelihood_scan.h"
+#include "localization/pose_estimate.h"
+#include "sound_map/sound_sources.h"
+
+namespace soundmap::pipeline {
+
+// An audio scan that entered the map.
+struct AudioScanInfo {
+  std::string robot;
+  std::string session;
+  frames::TimeNs time_ns = 0;  // t_k, the middle of the scan
+  localization::PoseEstimate pose;
+  double noise_floor = 0.0;
+  std::vector<acoustics::Peak> peaks;
+  std::int64_t end_points = 0;
+};
+
+// A robot that has had a session here.
+struct RobotInfo {
+  std::string robot;
+  std::string site;
+  std::string session;  // its newest
+  bool streaming = false;
+  std::optional<localization::PoseEstimate> pose;
+  frames::TimeNs last_seen_ns = 0;  // capture time of its newest processed frame
+};
+
+struct SourceRemoved {
+  std::uint64_t id = 0;
+};
+
+using Event = std::variant<sound_map::SoundSource, SourceRemoved, RobotInfo, AudioScanInfo>;
+
+// What happened at one site, newest last: a ring of bounded length, so that a slow reader can fall out of it but never holds anybody up. Thread safe.
+class EventRing {
+ public:
+  explicit EventRing(std::size_t capacity = 4096) : capacity_(capacity) {}
+
+  void Publish(Event event);
+
+  struct Batch {
+    std::vector<Event> events;
+    std::int64_t next = 0;  // read on from here
+    bool lost = false;      // events between `from` and the first of these are gone
+  };
+  Batch Read(std::int64_t from, std::size_t max_events) const;
+  std::int64_t next() const;
+
+  // `wake` is called after every Publish() until Unsubscribe() has returned; it must not block or call back into the ring.
+  int Subscribe(std::function<void()> wake);
+  void Unsubscribe(int subscription);
+
+ private:
+  const std::size_t capacity_;
+  mutable std::mutex mutex_;
+  std::deque<Event> events_;                        // guarded by mutex_
+  std::int64_t first_ = 0;                          // guarded by mutex_; number of events_.front()
+  std::map<int, std::function<void()>> wakes_;      // guarded by mutex_
+  int subscriptions_ = 0;                           // guarded by mutex_
+};
+
+}  // namespace soundmap::pipeline

@@ -1,0 +1,334 @@
+#include "pipeline/listening.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "pipeline/serialization.h"
+
+namespace boost::serialization {
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::acoustics::AudioClock::Point& point, unsigned) {
+  archive & point.sample & point.stamp_ns;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::acoustics::AudioScanner::State& state, unsigned) {
+  archive & state.last_stamp_ns & state.next_sample & state.clock & state.pending;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::Particle& particle, unsigned) {
+  archive & particle.map_from_base & particle.log_weight;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::Correction& correction, unsigned) {
+  archive & correction.estimate & correction.odom_from_base;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::Counters& counters, unsigned) {
+  archive & counters.corrections & counters.resamplings & counters.scans_ignored &
+      counters.scans_overflowed & counters.scans_empty & counters.odometry_ignored &
+      counters.odometry_jumps;
+}
+
+// Boost.Serialization of this version knows boost::optional only.
+template <class Archive, typename Value>
+void serialize(Archive& archive, std::optional<Value>& optional, unsigned) {
+  bool present = optional.has_value();
+  archive & present;
+  if (!present) {
+    optional.reset();
+  } else {
+    if (!optional) optional.emplace();
+    archive&* optional;
+  }
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::LocalizerState& state, unsigned) {
+  archive & state.particles & state.engine & state.odometry & state.raw_odometry &
+      state.waiting_scans & state.corrections & state.newest_scan_ns & state.considered_until_ns &
+      state.odom_from_particles & state.mean_fit & state.travelled_m & state.jumped &
+      state.counters;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::pipeline::Listening::Counters& counters, unsigned) {
+  archive & counters.audio_scans & counters.backward_odometry & counters.backward_lidar &
+      counters.faulty_audio_scans & counters.refused_audio & counters.scans_without_range &
+      counters.scans_without_pose;
+}
+
+}  // namespace boost::serialization
+
+namespace soundmap::pipeline {
+namespace {
+
+// LIDAR scans and audio scans that wait for what comes after them; with more, the oldest are done without.
+constexpr std::size_t kMaxLidarScans = 64;
+constexpr std::size_t kMaxPendingScans = 64;
+
+frames::TimeNs MiddleOf(const frames::LidarScan& scan) {
+  if (scan.time_offset_ns.empty()) return scan.stamp_ns;
+  return scan.stamp_ns +
+         *std::max_element(scan.time_offset_ns.begin(), scan.time_offset_ns.end()) / 2;
+}
+
+}  // namespace
+
+struct Listening::State {
+  const Profile& profile;
+  const frames::Calibration calibration;
+  std::shared_ptr<const localization::PreparedPlan> plan;
+  localization::Localizer localizer;
+  std::unique_ptr<acoustics::AudioScanner> scanner;  // null: the robot has no audio
+  std::optional<ray_casting::RayCaster> caster;      // with the scanner
+
+  frames::OdometryTrack track;
+  std::deque<frames::LidarScan> lidar_scans;            // oldest first
+  std::deque<acoustics::LikelihoodScan> pending_scans;  // oldest first
+  Counters counters;
+
+  // Section V's points of the LIDAR scan that the last audio scan used.
+  std::optional<frames::TimeNs> view_stamp_ns;
+  frames::TimeNs view_reference_ns = 0;
+  std::vector<Eigen::Vector3f> view_point_in_base;
+
+  void Add(const frames::Odometry& odometry, Output& output);
+  void Add(const frames::LaserScan& scan, Output& output);
+  void Add(const frames::LidarScan& scan, Output& output);
+  void Add(const frames::AudioBlock& block, Output& output);
+
+  // Whether nothing that may still come changes what the scan is given.
+  bool IsReady(const acoustics::LikelihoodScan& scan) const;
+  void Drain(bool all, Output& output);
+  void Fuse(acoustics::LikelihoodScan scan, Output& output);
+  bool View(frames::TimeNs time_ns);
+};
+
+Listening::Listening(std::unique_ptr<State> state) : state_(std::move(state)) {}
+Listening::~Listening() = default;
+
+absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
+    const Profile& profile, const frames::Calibration& calibration,
+    std::shared_ptr<const building::Building> building, const geometry::Pose2& initial_pose,
+    std::uint64_t seed) {
+  auto plan = localization::PreparedPlan::Create(profile.localization, building->floor_plan);
+  if (!plan.ok()) return plan.status();
+  auto localizer = localization::Localizer::Create(
+      *plan, calibration, localization::InitialPose{initial_pose}, seed);
+  if (!localizer.ok()) return localizer.status();
+  std::unique_ptr<State> state(
+      new State{profile, calibration, *std::move(plan), *std::move(localizer), nullptr,
+                std::nullopt, frames::OdometryTrack()});
+  if (!calibration.mic_in_array_m.empty() && calibration.audio_sample_rate_hz != 0) {
+    auto scanner = acoustics::AudioScanner::Create(profile.acoustics, calibration);
+    if (!scanner.ok()) return scanner.status();
+    state->scanner = *std::move(scanner);
+    auto caster = ray_casting::RayCaster::Create(profile.ray_casting, state->scanner->grid(),
+                                                 calibration.base_from_array);
+    if (!caster.ok()) return caster.status();
+    state->caster = *std::move(caster);
+  }
+  return std::unique_ptr<Listening>(new Listening(std::move(state)));
+}
+
+void Listening::Process(const frames::Frame& frame, Output& output) {
+  std::visit([&](const auto& sensor_frame) { state_->Add(sensor_frame, output); }, frame);
+  state_->Drain(/*all=*/false, output);
+}
+
+void Listening::Finish(Output& output) { state_->Drain(/*all=*/true, output); }
+
+const Listening::Counters& Listening::counters() const { return state_->counters; }
+
+void Listening::State::Add(const frames::Odometry& odometry, Output& output) {
+  if (!track.Add(odometry)) ++counters.backward_odometry;
+  for (const localization::PoseEstimate& pose : localizer.Add(odometry)) output.path.push_back(pose);
+}
+
+void Listening::State::Add(const frames::LaserScan& scan, Output& output) {
+  for (const localization::PoseEstimate& pose : localizer.Add(scan)) output.path.push_back(pose);
+}
+
+void Listening::State::Add(const frames::LidarScan& scan, Output&) {
+  if (!caster) return;
+  if (!lidar_scans.empty() && scan.stamp_ns <= lidar_scans.back().stamp_ns) {
+    ++counters.backward_lidar;
+    return;
+  }
+  lidar_scans.push_back(scan);
+  // The oldest pending scan may still want the one before the newest that is not after it.
+  const frames::TimeNs oldest_ns =
+      pending_scans.empty() ? scan.stamp_ns : pending_scans.front().mid_ns();
+  const frames::TimeNs keep_ns =
+      oldest_ns - 2 * frames::NsFromSeconds(profile.ray_casting.max_lidar_age_s);
+  while (lidar_scans.size() > kMaxLidarScans ||
+         (lidar_scans.size() > 1 && lidar_scans.front().stamp_ns < keep_ns)) {
+    lidar_scans.pop_front();
+  }
+}
+
+void Listening::State::Add(const frames::AudioBlock& block, Output&) {
+  if (!scanner) {
+    ++counters.refused_audio;
+    return;
+  }
+  auto scans = scanner->Push(block);
+  if (!scans.ok()) {
+    ++counters.refused_audio;
+    return;
+  }
+  for (acoustics::LikelihoodScan& scan : *scans) {
+    if (scan.fault.empty()) {
+      pending_scans.push_back(std::move(scan));
+    } else {
+      ++counters.faulty_audio_scans;
+    }
+  }
+}
+
+bool Listening::State::IsReady(const acoustics::LikelihoodScan& scan) const {
+  if (track.empty()) return false;
+  const frames::TimeNs mid_ns = scan.mid_ns();
+  const frames::TimeNs now_ns = track.newest_ns();
+  if (now_ns < mid_ns + frames::NsFromSeconds(profile.fusion.pose_wait_s)) return false;
+  // The nearest LIDAR scan is known once one is newer than the audio scan, or none can come in time.
+  const bool lidar_known = !lidar_scans.empty() && MiddleOf(lidar_scans.back()) >= mid_ns;
+  return lidar_known || now_ns >= mid_ns + frames::NsFromSeconds(profile.fusion.lidar_wait_s);
+}
+
+void Listening::State::Drain(bool all, Output& output) {
+  while (!pending_scans.empty() &&
+         (all || pending_scans.size() > kMaxPendingScans || IsReady(pending_scans.front()))) {
+    acoustics::LikelihoodScan scan = std::move(pending_scans.front());
+    pending_scans.pop_front();
+    Fuse(std::move(scan), output);
+  }
+}
+
+// Chooses the LIDAR scan nearest in time and straightens its sweep. False when there is none near enough.
+bool Listening::State::View(frames::TimeNs time_ns) {
+  const frames::LidarScan* nearest = nullptr;
+  frames::TimeNs nearest_age_ns = frames::NsFromSeconds(profile.ray_casting.max_lidar_age_s);
+  for (const frames::LidarScan& scan : lidar_scans) {
+    const frames::TimeNs age_ns = std::abs(MiddleOf(scan) - time_ns);
+    if (age_ns > nearest_age_ns) continue;
+    nearest = &scan;
+    nearest_age_ns = age_ns;
+  }
+  if (nearest == nullptr) return false;
+  if (view_stamp_ns == nearest->stamp_ns) return true;
+  view_stamp_ns.reset();
+  view_reference_ns = MiddleOf(*nearest);
+  auto points =
+      frames::PointsInBaseAt(*nearest, calibration.base_from_lidar, track, view_reference_ns);
+  if (!points) return false;
+  view_point_in_base = *std::move(points);
+  view_stamp_ns = nearest->stamp_ns;
+  return true;
+}
+
+// Section V for one audio scan: the pose and the ranges at its middle send its likelihoods into the map.
+void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
+  const frames::TimeNs mid_ns = scan.mid_ns();
+  const auto pose = localizer.At(mid_ns);
+  if (!pose || pose->state == localization::State::kLost) {
+    ++counters.scans_without_pose;
+    return;
+  }
+  const auto odom_from_audio_base = track.At(mid_ns);
+  if (!odom_from_audio_base || !View(mid_ns)) {
+    ++counters.scans_without_range;
+    return;
+  }
+  const auto odom_from_reference_base = track.Near(view_reference_ns, 1.0);
+  if (!odom_from_reference_base) {
+    ++counters.scans_without_range;
+    return;
+  }
+  ray_casting::LidarView view;
+  view.reference_ns = view_reference_ns;
+  view.point_in_base = view_point_in_base;
+  view.reference_base_from_audio_base =
+      (odom_from_reference_base->Inverse() * *odom_from_audio_base).ToIsometry();
+  auto evidence = caster->Cast(scan, view, *pose);
+  if (!evidence.ok() || evidence->end_points.empty()) {
+    ++counters.scans_without_range;
+    return;
+  }
+  ++counters.audio_scans;
+  scan.likelihood.clear();
+  output.scans.push_back({std::move(scan), *pose, *std::move(evidence)});
+}
+
+std::vector<std::string> Listening::Warnings() const {
+  const Counters& counters = state_->counters;
+  const localization::Counters& localization = state_->localizer.counters();
+  const std::pair<std::int64_t, const char*> sentences[] = {
+      {counters.backward_odometry, " odometry frame(s) ran backwards in time and were left out"},
+      {localization.odometry_jumps, " odometry frame(s) jumped; the robot was uncertain for a while"},
+      {localization.scans_empty, " laser scan(s) had too few valid beams"},
+      {counters.backward_lidar, " LIDAR scan(s) ran backwards in time and were left out"},
+      {counters.refused_audio, " audio block(s) did not fit the ones before and were left out"},
+      {counters.faulty_audio_scans,
+       " audio scan(s) had a dead microphone or lost samples and were left out"},
+      {counters.scans_without_pose,
+       " audio scan(s) were left out since the robot did not know where it was"},
+      {counters.scans_without_range,
+       " audio scan(s) were left out since no LIDAR scan was near in time"}};
+  std::vector<std::string> warnings;
+  for (const auto& [count, sentence] : sentences) {
+    if (count > 0) warnings.push_back(absl::StrCat(count, sentence));
+  }
+  if (localization.corrections == 0) {
+    warnings.push_back("the robot was never localized: no usable laser scan");
+  }
+  return warnings;
+}
+
+std::string Listening::SaveState() const {
+  const State& state = *state_;
+  const std::vector<frames::Odometry> track(state.track.entries().begin(),
+                                            state.track.entries().end());
+  return ToBytes(state.localizer.state(),
+                 state.scanner ? state.scanner->state() : acoustics::AudioScanner::State{}, track,
+                 state.lidar_scans, state.pending_scans, state.counters);
+}
+
+absl::Status Listening::RestoreState(const std::string& bytes) {
+  localization::LocalizerState localizer_state;
+  acoustics::AudioScanner::State scanner_state;
+  std::vector<frames::Odometry> track;
+  std::deque<frames::LidarScan> lidar_scans;
+  std::deque<acoustics::LikelihoodScan> pending_scans;
+  Counters counters;
+  const absl::Status read = FromBytes(bytes, localizer_state, scanner_state, track, lidar_scans,
+                                      pending_scans, counters);
+  if (!read.ok()) return read;
+  State& state = *state_;
+  auto localizer =
+      localization::Localizer::Restore(state.plan, state.calibration, localizer_state);
+  if (!localizer.ok()) return localizer.status();
+  if (state.scanner) {
+    const absl::Status restored = state.scanner->Restore(std::move(scanner_state));
+    if (!restored.ok()) return restored;
+  }
+  state.localizer = *std::move(localizer);
+  state.track = frames::OdometryTrack();
+  for (const frames::Odometry& odometry : track) state.track.Add(odometry);
+  state.lidar_scans = std::move(lidar_scans);
+  state.pending_scans = std::move(pending_scans);
+  state.counters = counters;
+  state.view_stamp_ns.reset();
+  return absl::OkStatus();
+}
+
+}  // namespace soundmap::pipeline

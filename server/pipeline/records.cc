@@ -1,0 +1,135 @@
+#include "pipeline/records.h"
+
+#include <nlohmann/json.hpp>
+
+#include "absl/strings/str_cat.h"
+
+namespace soundmap::pipeline {
+namespace {
+
+using Json = nlohmann::json;
+
+Json JsonFrom(const Eigen::Vector3d& v) { return {v.x(), v.y(), v.z()}; }
+
+Eigen::Vector3d VectorFrom(const Json& json) {
+  return {json.at(0).get<double>(), json.at(1).get<double>(), json.at(2).get<double>()};
+}
+
+// The upper three rows of the matrix, so that it is read back bit for bit.
+Json JsonFrom(const Eigen::Isometry3d& transform) {
+  Json rows = Json::array();
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 4; ++column) rows.push_back(transform.matrix()(row, column));
+  }
+  return rows;
+}
+
+Eigen::Isometry3d TransformFrom(const Json& json) {
+  Eigen::Isometry3d transform = Eigen::Isometry3d::Identity();
+  for (int i = 0; i < 12; ++i) transform.matrix()(i / 4, i % 4) = json.at(i).get<double>();
+  return transform;
+}
+
+Json JsonFrom(const frames::Calibration& calibration) {
+  Json microphones = Json::array();
+  for (const Eigen::Vector3d& mic : calibration.mic_in_array_m) microphones.push_back(JsonFrom(mic));
+  return {{"base_from_array", JsonFrom(calibration.base_from_array)},
+          {"base_from_lidar", JsonFrom(calibration.base_from_lidar)},
+          {"base_from_laser", JsonFrom(calibration.base_from_laser)},
+          {"mic_in_array_m", std::move(microphones)},
+          {"laser_time_increment_s", calibration.laser_time_increment_s},
+          {"audio_sample_rate_hz", calibration.audio_sample_rate_hz}};
+}
+
+frames::Calibration CalibrationFrom(const Json& json) {
+  frames::Calibration calibration;
+  calibration.base_from_array = TransformFrom(json.at("base_from_array"));
+  calibration.base_from_lidar = TransformFrom(json.at("base_from_lidar"));
+  calibration.base_from_laser = TransformFrom(json.at("base_from_laser"));
+  for (const Json& mic : json.at("mic_in_array_m")) {
+    calibration.mic_in_array_m.push_back(VectorFrom(mic));
+  }
+  calibration.laser_time_increment_s = json.at("laser_time_increment_s");
+  calibration.audio_sample_rate_hz = json.at("audio_sample_rate_hz");
+  return calibration;
+}
+
+template <typename Record>
+absl::StatusOr<Record> Read(const std::string& text, const char* what,
+                            Record (*from_json)(const Json&)) {
+  // nlohmann-json reports a missing or mistyped field by exception.
+  try {
+    return from_json(Json::parse(text));
+  } catch (const Json::exception& error) {
+    return absl::DataLossError(absl::StrCat("the stored ", what, " cannot be read: ", error.what()));
+  }
+}
+
+}  // namespace
+
+std::string ToJson(const SiteRecord& record) {
+  return Json{{"version", 1},
+              {"site", record.site},
+              {"profile", record.profile},
+              {"parameters_toml", record.parameters_toml},
+              {"create_time_ns", record.create_time_ns},
+              {"building_version", record.building_version}}
+      .dump();
+}
+
+std::string ToJson(const SessionRecord& record) {
+  Json json{{"version", 1},
+            {"site", record.site},
+            {"session", record.session},
+            {"robot", record.robot},
+            {"purpose", record.purpose == Purpose::kMapping ? "mapping" : "listening"},
+            {"calibration", JsonFrom(record.calibration)},
+            {"warnings", record.warnings},
+            {"epoch", record.epoch},
+            {"create_time_ns", record.create_time_ns},
+            {"building_version", record.building_version},
+            {"complete", record.complete},
+            {"frame_count", record.frame_count},
+            {"first_frame_ns", record.first_frame_ns},
+            {"last_frame_ns", record.last_frame_ns},
+            {"audio_scans", record.audio_scans}};
+  if (record.initial_pose) {
+    json["initial_pose"] = {record.initial_pose->x_m, record.initial_pose->y_m,
+                            record.initial_pose->yaw_rad};
+  }
+  return json.dump();
+}
+
+absl::StatusOr<SiteRecord> SiteRecordFromJson(const std::string& text) {
+  return Read<SiteRecord>(text, "site", [](const Json& json) {
+    return SiteRecord{json.at("site"), json.at("profile"), json.at("parameters_toml"),
+                      json.at("create_time_ns"), json.at("building_version")};
+  });
+}
+
+absl::StatusOr<SessionRecord> SessionRecordFromJson(const std::string& text) {
+  return Read<SessionRecord>(text, "session", [](const Json& json) {
+    SessionRecord record;
+    record.site = json.at("site");
+    record.session = json.at("session");
+    record.robot = json.at("robot");
+    record.purpose = json.at("purpose") == "mapping" ? Purpose::kMapping : Purpose::kListening;
+    record.calibration = CalibrationFrom(json.at("calibration"));
+    if (json.contains("initial_pose")) {
+      const Eigen::Vector3d pose = VectorFrom(json.at("initial_pose"));
+      record.initial_pose = geometry::Pose2{pose.x(), pose.y(), pose.z()};
+    }
+    record.warnings = json.at("warnings").get<std::vector<std::string>>();
+    record.epoch = json.at("epoch");
+    record.create_time_ns = json.at("create_time_ns");
+    record.building_version = json.at("building_version");
+    record.complete = json.at("complete");
+    record.frame_count = json.at("frame_count");
+    record.first_frame_ns = json.at("first_frame_ns");
+    record.last_frame_ns = json.at("last_frame_ns");
+    record.audio_scans = json.at("audio_scans");
+    return record;
+  });
+}
+
+}  // namespace soundmap::pipeline

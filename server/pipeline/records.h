@@ -1,0 +1,51 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "frames/frames.h"
+
+namespace soundmap::pipeline {
+
+// What the store keeps of a site, as JSON.
+struct SiteRecord {
+  std::string site;
+  std::string profile;
+  // The parameters of every stage as they were when the site was created, so that a session that is read again gives the same map.
+  std::string parameters_toml;
+  std::int64_t create_time_ns = 0;
+  std::int64_t building_version = 0;  // 0: no geometric map yet
+};
+
+enum class Purpose { kListening, kMapping };
+
+// What the store keeps of a session, as JSON.
+struct SessionRecord {
+  std::string site;
+  std::string session;
+  std::string robot;
+  Purpose purpose = Purpose::kListening;
+  frames::Calibration calibration;
+  std::optional<geometry::Pose2> initial_pose;
+  std::vector<std::string> warnings;
+  std::int64_t epoch = 0;
+  std::int64_t create_time_ns = 0;
+  std::int64_t building_version = 0;  // that the robot is localized in
+  bool complete = false;
+  // Final figures, once complete.
+  std::int64_t frame_count = 0;
+  frames::TimeNs first_frame_ns = 0;
+  frames::TimeNs last_frame_ns = 0;
+  std::int64_t audio_scans = 0;
+};
+
+std::string ToJson(const SiteRecord& record);
+std::string ToJson(const SessionRecord& record);
+// DataLoss: not such a record.
+absl::StatusOr<SiteRecord> SiteRecordFromJson(const std::string& json);
+absl::StatusOr<SessionRecord> SessionRecordFromJson(const std::string& json);
+
+}  // namespace soundmap::pipeline

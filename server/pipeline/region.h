@@ -1,0 +1,68 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "pipeline/events.h"
+#include "sound_map/sound_map.h"
+#include "sound_map/sound_sources.h"
+#include "storage/store.h"
+
+namespace soundmap::pipeline {
+
+// The sound map of one site: one writer at a time, readers on immutable snapshots that never wait for it. Evidence enters the journal first,
+// then the map; the revision of the map is the number of journal entries in it, so that it means the same after a restart.
+// Thread safe.
+class Region {
+ public:
+  // The map as the store has it: the tiles of the last checkpoint, then the journal behind it.
+  static absl::StatusOr<std::unique_ptr<Region>> Open(
+      const std::string& site, storage::Store* store, const sound_map::SoundMapConfig& config);
+
+  std::shared_ptr<const sound_map::Snapshot> snapshot() const { return map_->TakeSnapshot(); }
+
+  struct Sources {
+    std::vector<sound_map::SoundSource> sources;  // most probable first
+    std::uint64_t revision = 0;
+    std::optional<frames::TimeNs> as_of_ns;
+  };
+  // Of the newest revision; found once per revision.
+  std::shared_ptr<const Sources> sources() const;
+
+  // All of the commit takes effect, in the store and in the map, or nothing does.
+  absl::Status Commit(const storage::Commit& commit);
+
+  // Writes the tiles that changed since the last checkpoint.
+  absl::Status Checkpoint();
+
+  EventRing& events() { return events_; }
+
+  // Publishes the sources that are new, gone or different since the last call.
+  void PublishSourceChanges();
+
+ private:
+  Region(std::string site, storage::Store* store, std::unique_ptr<sound_map::SoundMap> map)
+      : site_(std::move(site)), store_(store), map_(std::move(map)) {}
+  absl::Status Load();
+  absl::Status CheckpointLocked();
+
+  const std::string site_;
+  storage::Store* const store_;
+  EventRing events_;
+
+  std::mutex writer_mutex_;
+  const std::unique_ptr<sound_map::SoundMap> map_;  // changed with writer_mutex_ held
+  std::uint64_t sequence_ = 0;                      // guarded by writer_mutex_; last journal entry in map_
+  std::int64_t updates_since_checkpoint_ = 0;       // guarded by writer_mutex_
+
+  mutable std::mutex sources_mutex_;
+  mutable std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_
+  std::shared_ptr<const Sources> published_;        // guarded by sources_mutex_
+};
+
+}  // namespace soundmap::pipeline

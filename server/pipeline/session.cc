@@ -1,0 +1,429 @@
+#include "pipeline/session.h"
+
+#include <algorithm>
+#include <chrono>
+#include <future>
+#include <limits>
+#include <utility>
+
+#include <boost/asio/post.hpp>
+
+#include "absl/strings/str_cat.h"
+#include "pipeline/archive.h"
+#include "storage/crc32c.h"
+
+namespace soundmap::pipeline {
+namespace {
+
+// What one visit to the strand processes at most before another robot may have the thread.
+constexpr int kBatchFrames = 64;
+constexpr std::int64_t kBatchBytes = 2 << 20;
+
+constexpr frames::TimeNs kSnapshotInterval_ns = 10'000'000'000;
+constexpr std::chrono::milliseconds kCommitRetry(500);
+
+// The end of a drive in the session log: a foxglove.KeyValuePair whose key is "end".
+constexpr char kEndTopic[] = "/session/end";
+constexpr char kEndSchema[] = "foxglove.KeyValuePair";
+constexpr char kEndPayload[] = "\x0a\x03" "end";
+
+}  // namespace
+
+Session::Session(SessionRecord record, Site site)
+    : site_(std::move(site)),
+      robot_(record.robot),
+      strand_(boost::asio::make_strand(site_.executor)),
+      record_(std::move(record)),
+      retry_(strand_) {
+  commit_.site = record_.site;
+  commit_.session = record_.session;
+}
+
+absl::StatusOr<std::shared_ptr<Session>> Session::Open(SessionRecord record, Site site) {
+  std::shared_ptr<Session> session(new Session(std::move(record), std::move(site)));
+  const absl::Status recovered = session->Recover();
+  if (recovered.code() == absl::StatusCode::kDataLoss) {
+    // The other sessions of the site go on without this one.
+    session->fault_ = recovered;
+  } else if (!recovered.ok()) {
+    return recovered;
+  }
+  return session;
+}
+
+absl::Status Session::Recover() {
+  if (record_.complete) {
+    received_ = durable_ = processed_ = next_ = record_.frame_count + 1;
+    ended_ = true;
+    return ReadNewestPose();
+  }
+  auto log = site_.store->OpenSession(id());
+  if (!log.ok()) return log.status();
+  log_ = *std::move(log);
+  received_ = durable_ = log_->durable();
+  const auto processed = site_.store->ProcessedOffset(id());
+  if (!processed.ok()) return processed.status();
+  processed_ = *processed;
+
+  if (record_.purpose == Purpose::kListening) {
+    auto listening = Listening::Create(*site_.profile, record_.calibration, site_.building,
+                                       *record_.initial_pose, storage::Crc32c(record_.session));
+    if (!listening.ok()) return listening.status();
+    listening_ = *std::move(listening);
+    const auto state = site_.store->LatestState(id());
+    if (!state.ok()) return state.status();
+    if (state->has_value()) {
+      const absl::Status restored = listening_->RestoreState((*state)->state);
+      if (!restored.ok()) return restored;
+      next_ = (*state)->offset;
+    }
+  }
+  if (durable_ == 0) return absl::OkStatus();
+
+  auto first = log_->Read(0);
+  if (!first.ok()) return first.status();
+  const auto first_message = (*first)->Next();
+  if (!first_message.ok()) return first_message.status();
+  if (first_message->has_value()) record_.first_frame_ns = (*first_message)->log_time_ns;
+
+  auto reader = log_->Read(next_);
+  if (!reader.ok()) return reader.status();
+  while (next_ < durable_) {
+    auto message = (*reader)->Next();
+    if (!message.ok()) return message.status();
+    if (!message->has_value()) break;
+    auto item = Decode(**message);
+    if (!item.ok()) return item.status();
+    const bool had_its_effect = next_ < processed_;
+    Apply(*item);
+    if (had_its_effect) {
+      commit_.journal.clear();
+      commit_.trajectory.clear();
+    }
+    if (next_ > processed_ && (next_ % kBatchFrames == 0 || next_ == durable_)) {
+      const absl::Status committed = Commit();
+      if (!committed.ok()) return committed;
+    }
+  }
+  return finished_ ? Complete() : absl::OkStatus();
+}
+
+absl::Status Session::ReadNewestPose() {
+  // The path of a drive is some thousands of poses; the newest lies at the end of it.
+  const frames::TimeNs from_ns = record_.last_frame_ns - frames::NsFromSeconds(60.0);
+  return site_.store->ReadTrajectory(
+      id(), from_ns, std::numeric_limits<frames::TimeNs>::max(),
+      [this](const storage::TrajectoryEntry& entry) {
+        auto pose = DecodePose(entry.pose);
+        if (!pose.ok()) return pose.status();
+        newest_pose_ = *std::move(pose);
+        return absl::OkStatus();
+      });
+}
+
+absl::StatusOr<Session::Item> Session::Decode(const recording::Message& message) const {
+  Item item;
+  item.log_time_ns = message.log_time_ns;
+  item.payload_bytes = static_cast<std::int64_t>(message.data.size());
+  if (message.topic == kEndTopic) {
+    item.content = End{};
+    return item;
+  }
+  auto frame = site_.decode(message, record_.calibration);
+  if (!frame.ok()) return frame.status();
+  item.content = *std::move(frame);
+  return item;
+}
+
+SessionRecord Session::record() const {
+  std::lock_guard lock(mutex_);
+  return record_;
+}
+
+Watermarks Session::watermarks() const {
+  std::lock_guard lock(mutex_);
+  // The end of the drive is the server's own; the robot counts its frames.
+  const auto frames = [this](std::int64_t count) {
+    return ended_ ? std::min(count, received_ - 1) : count;
+  };
+  return {frames(received_), frames(durable_), frames(processed_), record_.complete};
+}
+
+std::optional<localization::PoseEstimate> Session::newest_pose() const {
+  std::lock_guard lock(mutex_);
+  return newest_pose_;
+}
+
+std::int64_t Session::bytes_in_flight() const {
+  std::lock_guard lock(mutex_);
+  return bytes_in_flight_;
+}
+
+absl::Status Session::fault() const {
+  std::lock_guard lock(mutex_);
+  return fault_;
+}
+
+std::int64_t Session::Attach(std::int64_t epoch, std::function<void()> wake) {
+  std::lock_guard lock(mutex_);
+  Wake();  // the stream before this one finds itself fenced
+  stream_epoch_ = epoch;
+  wake_ = std::move(wake);
+  return ended_ ? received_ - 1 : received_;
+}
+
+void Session::Detach(std::int64_t epoch) {
+  std::lock_guard lock(mutex_);
+  if (stream_epoch_ != epoch) return;
+  stream_epoch_ = 0;
+  wake_ = nullptr;
+}
+
+bool Session::streaming() const {
+  std::lock_guard lock(mutex_);
+  return stream_epoch_ != 0;
+}
+
+absl::Status Session::StreamStatus(std::int64_t epoch) const {
+  std::lock_guard lock(mutex_);
+  return CheckStream(epoch);
+}
+
+absl::Status Session::CheckStream(std::int64_t epoch) const {
+  if (epoch != stream_epoch_) {
+    return absl::AbortedError(absl::StrCat("session '", record_.session,
+                                           "' was taken over by a newer stream of its robot"));
+  }
+  return fault_;
+}
+
+absl::StatusOr<Session::Taken> Session::Receive(std::int64_t epoch, std::int64_t offset,
+                                                recording::Message message) {
+  {
+    std::lock_guard lock(mutex_);
+    const absl::Status stream = CheckStream(epoch);
+    if (!stream.ok()) return stream;
+    if (offset < 0) return absl::InvalidArgumentError("an offset is negative");
+    if (offset > received_) return Taken::kGap;
+    if (offset < received_ - (ended_ ? 1 : 0)) {
+      const auto crc = log_ ? log_->PayloadCrc(offset) : std::nullopt;
+      if (crc && *crc != storage::Crc32c(message.data)) {
+        return absl::DataLossError(absl::StrCat("frame ", offset, " of session '", record_.session,
+                                                "' was sent again with other bytes"));
+      }
+      return Taken::kDuplicate;
+    }
+    if (ended_) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          "session '", record_.session, "' has ended after ", received_ - 1, " frames"));
+    }
+  }
+  // One stream at a time sends frames, so that nothing comes between the check and the append but a newer stream, which is looked for again.
+  auto item = Decode(message);
+  if (!item.ok()) {
+    return absl::Status(item.status().code(),
+                        absl::StrCat("frame ", offset, ": ", std::string(item.status().message())));
+  }
+  std::lock_guard lock(mutex_);
+  const absl::Status stream = CheckStream(epoch);
+  if (!stream.ok()) return stream;
+  if (offset != received_) return Taken::kGap;
+  const auto appended = log_->Append(std::move(message));
+  if (!appended.ok()) return appended.status();
+  bytes_in_flight_ += item->payload_bytes;
+  queue_.push_back(*std::move(item));
+  ++received_;
+  return Taken::kYes;
+}
+
+absl::Status Session::Finish(std::int64_t epoch, std::int64_t frame_count) {
+  std::lock_guard lock(mutex_);
+  const absl::Status stream = CheckStream(epoch);
+  if (!stream.ok()) return stream;
+  const std::int64_t have = received_ - (ended_ ? 1 : 0);
+  if (frame_count != have) {
+    return absl::FailedPreconditionError(absl::StrCat("session '", record_.session, "' has ", have,
+                                                      " frames, but was finished with ",
+                                                      frame_count));
+  }
+  if (ended_) {
+    Wake();
+    return absl::OkStatus();
+  }
+  recording::Message end;
+  end.topic = kEndTopic;
+  end.schema = kEndSchema;
+  end.log_time_ns = end.publish_time_ns = record_.last_frame_ns;
+  end.data = kEndPayload;
+  const auto appended = log_->Append(std::move(end));
+  if (!appended.ok()) return appended.status();
+  queue_.push_back({End{}, record_.last_frame_ns, 0});
+  ++received_;
+  ended_ = true;
+  return absl::OkStatus();
+}
+
+void Session::OnDurable(const absl::StatusOr<std::int64_t>& durable) {
+  std::lock_guard lock(mutex_);
+  if (!durable.ok()) {
+    // A full disk passes; a damaged log does not.
+    if (durable.status().code() == absl::StatusCode::kDataLoss) fault_ = durable.status();
+    Wake();
+    return;
+  }
+  durable_ = std::max(durable_, *durable);
+  Wake();
+  if (!scheduled_ && !stopping_) {
+    scheduled_ = true;
+    boost::asio::post(strand_, [self = shared_from_this()] { self->Process(); });
+  }
+}
+
+absl::StatusOr<std::int64_t> Session::NextEpoch() {
+  std::lock_guard lock(mutex_);
+  SessionRecord record = record_;
+  ++record.epoch;
+  const absl::Status stored = site_.store->PutRecord(
+      storage::Table::kSession, absl::StrCat(record.site, "/", record.session), ToJson(record));
+  if (!stored.ok()) return stored;
+  record_.epoch = record.epoch;
+  return record_.epoch;
+}
+
+void Session::Process() {
+  std::vector<Item> items;
+  {
+    std::lock_guard lock(mutex_);
+    if (stopping_ || !fault_.ok() || next_ == durable_) {
+      scheduled_ = false;
+      return;
+    }
+    std::int64_t bytes = 0;
+    while (next_ + static_cast<std::int64_t>(items.size()) < durable_ &&
+           items.size() < kBatchFrames && bytes < kBatchBytes) {
+      bytes += queue_.front().payload_bytes;
+      items.push_back(std::move(queue_.front()));
+      queue_.pop_front();
+    }
+  }
+  for (const Item& item : items) Apply(item);
+  CommitAndGoOn();
+}
+
+void Session::CommitAndGoOn() {
+  absl::Status status = Commit();
+  if (status.ok() && finished_) status = Complete();
+  if (!status.ok()) {
+    retry_.expires_after(kCommitRetry);
+    retry_.async_wait([self = shared_from_this()](boost::system::error_code cancelled) {
+      if (!cancelled) self->CommitAndGoOn();
+    });
+    return;
+  }
+  boost::asio::post(strand_, [self = shared_from_this()] { self->Process(); });
+}
+
+void Session::Apply(const Item& item) {
+  const std::int64_t offset = next_++;
+  batch_bytes_ += item.payload_bytes;
+  if (batch_first_ns_ == 0) batch_first_ns_ = item.log_time_ns;
+  batch_last_ns_ = item.log_time_ns;
+  if (std::holds_alternative<End>(item.content)) finished_ = true;
+  if (!listening_) return;
+
+  Listening::Output output;
+  if (const auto* frame = std::get_if<frames::Frame>(&item.content)) {
+    listening_->Process(*frame, output);
+  } else {
+    listening_->Finish(output);
+  }
+  for (Listening::Scan& scan : output.scans) {
+    const AudioScanInfo info{robot_,
+                             commit_.session,
+                             scan.evidence.stamp_ns,
+                             scan.pose,
+                             scan.audio.noise_floor,
+                             std::move(scan.audio.peaks),
+                             static_cast<std::int64_t>(scan.evidence.end_points.size())};
+    commit_.journal.push_back({offset, EncodeAudioScan(info), std::move(scan.evidence)});
+  }
+  for (const localization::PoseEstimate& pose : output.path) {
+    commit_.trajectory.push_back({pose.stamp_ns, EncodePose(pose)});
+  }
+  if (!output.path.empty()) {
+    std::lock_guard lock(mutex_);
+    newest_pose_ = output.path.back();
+  }
+}
+
+absl::Status Session::Commit() {
+  if (commit_.processed_offset != next_) {
+    commit_.processed_offset = next_;
+    if (snapshot_ns_ == 0) snapshot_ns_ = batch_last_ns_;
+    if (listening_ && !finished_ && batch_last_ns_ - snapshot_ns_ >= kSnapshotInterval_ns) {
+      commit_.state = storage::StateSnapshot{next_, listening_->SaveState()};
+      snapshot_ns_ = batch_last_ns_;
+    }
+    const absl::Status committed = site_.region->Commit(commit_);
+    if (!committed.ok()) {
+      commit_.processed_offset = -1;  // to be tried again
+      return committed;
+    }
+    commit_.journal.clear();
+    commit_.trajectory.clear();
+    commit_.state.reset();
+  }
+  std::lock_guard lock(mutex_);
+  processed_ = next_;
+  bytes_in_flight_ = std::max<std::int64_t>(0, bytes_in_flight_ - batch_bytes_);
+  batch_bytes_ = 0;
+  if (record_.first_frame_ns == 0) record_.first_frame_ns = batch_first_ns_;
+  record_.last_frame_ns = std::max(record_.last_frame_ns, batch_last_ns_);
+  if (listening_) record_.audio_scans = listening_->counters().audio_scans;
+  site_.region->events().Publish(RobotInfo{record_.robot, record_.site, record_.session,
+                                           stream_epoch_ != 0, newest_pose_,
+                                           record_.last_frame_ns});
+  Wake();
+  return absl::OkStatus();
+}
+
+absl::Status Session::Complete() {
+  std::unique_lock lock(mutex_);
+  if (record_.complete) return absl::OkStatus();
+  SessionRecord record = record_;
+  record.complete = true;
+  record.frame_count = received_ - 1;
+  if (listening_) {
+    for (std::string& warning : listening_->Warnings()) {
+      record.warnings.push_back(std::move(warning));
+    }
+  }
+  const absl::Status stored = site_.store->PutRecord(
+      storage::Table::kSession, absl::StrCat(record.site, "/", record.session), ToJson(record));
+  if (!stored.ok()) return stored;
+  record_ = std::move(record);
+  listening_.reset();
+  log_.reset();
+  Wake();
+  lock.unlock();
+  return site_.store->CloseSession(id());
+}
+
+void Session::Wake() {
+  if (wake_) wake_();
+}
+
+void Session::Stop() {
+  {
+    std::lock_guard lock(mutex_);
+    stopping_ = true;
+  }
+  std::promise<void> idle;
+  boost::asio::post(strand_, [this, &idle] {
+    retry_.cancel();
+    idle.set_value();
+  });
+  idle.get_future().wait();
+}
+
+}  // namespace soundmap::pipeline

@@ -1,0 +1,148 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <variant>
+
+#include <boost/asio/any_io_executor.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/asio/strand.hpp>
+
+#include "absl/status/statusor.h"
+#include "building/building.h"
+#include "frames/frames.h"
+#include "pipeline/listening.h"
+#include "pipeline/profile.h"
+#include "pipeline/records.h"
+#include "pipeline/region.h"
+#include "recording/message.h"
+#include "storage/store.h"
+
+namespace soundmap::pipeline {
+
+// How many frames of a session were received, are synced to disk, have had their effect.
+struct Watermarks {
+  std::int64_t received = 0;
+  std::int64_t durable = 0;
+  std::int64_t processed = 0;
+  bool complete = false;  // the robot sent all, and all is processed
+};
+
+// One drive of one robot: its frames enter the log, and once durable the pipeline, in order, on a strand of its own. The end of the drive is
+// a message in the log like any other, so that the whole session is a function of the log. Thread safe.
+class Session : public std::enable_shared_from_this<Session> {
+ public:
+  using FrameDecoder = std::function<absl::StatusOr<frames::Frame>(const recording::Message&,
+                                                                   const frames::Calibration&)>;
+  // The site's parts that a session works with; all outlive it.
+  struct Site {
+    storage::Store* store = nullptr;
+    Region* region = nullptr;
+    const Profile* profile = nullptr;
+    std::shared_ptr<const building::Building> building;  // null while mapping
+    FrameDecoder decode;
+    boost::asio::any_io_executor executor;
+  };
+
+  // Opens the log and brings the pipeline to where it was: the last state snapshot, then the frames behind it, whose evidence counts only
+  // from the first frame on that had no effect yet.
+  static absl::StatusOr<std::shared_ptr<Session>> Open(SessionRecord record, Site site);
+
+  SessionRecord record() const;
+  Watermarks watermarks() const;
+  // The newest estimate of where the robot is; none while mapping or before the first correction.
+  std::optional<localization::PoseEstimate> newest_pose() const;
+  // Payload bytes that were received and not yet processed.
+  std::int64_t bytes_in_flight() const;
+  // An unrecoverable fault (damage to the log); OK otherwise.
+  absl::Status fault() const;
+
+  // Makes `epoch` the session's newest stream; `wake` is called, possibly under a lock of the session, whenever a watermark, the fault or the
+  // epoch changes. Returns the offset to resume from.
+  std::int64_t Attach(std::int64_t epoch, std::function<void()> wake);
+  void Detach(std::int64_t epoch);
+  // OK while `epoch` is the newest stream; Aborted once another has attached; the session's fault.
+  absl::Status StreamStatus(std::int64_t epoch) const;
+  bool streaming() const;
+
+  enum class Taken { kYes, kDuplicate, kGap };
+  // A frame of the stream of `epoch`. kGap: offsets before this one are missing, nothing was taken. Aborted: a newer epoch has attached. DataLoss: the
+  // offset was taken before with other bytes. InvalidArgument: not a frame. ResourceExhausted: the disk is full.
+  absl::StatusOr<Taken> Receive(std::int64_t epoch, std::int64_t offset, recording::Message message);
+
+  // The drive has `frame_count` frames. FailedPrecondition: it has others.
+  absl::Status Finish(std::int64_t epoch, std::int64_t frame_count);
+
+  // The log's frames before `durable` are on disk; or why they are not.
+  void OnDurable(const absl::StatusOr<std::int64_t>& durable);
+
+  // Raises the epoch and returns it; the record is stored.
+  absl::StatusOr<std::int64_t> NextEpoch();
+
+  // Processes nothing more; what is durable is processed after the next Open(). Returns when the strand is idle.
+  void Stop();
+
+ private:
+  struct End {};
+  struct Item {
+    std::variant<frames::Frame, End> content;
+    std::int64_t log_time_ns = 0;
+    std::int64_t payload_bytes = 0;
+  };
+
+  Session(SessionRecord record, Site site);
+  absl::Status Recover();
+  absl::Status ReadNewestPose();
+  absl::StatusOr<Item> Decode(const recording::Message& message) const;
+  storage::SessionId id() const { return {commit_.site, commit_.session}; }
+
+  // With mutex_ held.
+  absl::Status CheckStream(std::int64_t epoch) const;
+  void Wake();
+
+  // On the strand, or before it runs.
+  void Process();
+  void Apply(const Item& item);
+  absl::Status Commit();
+  absl::Status Complete();
+  void CommitAndGoOn();
+
+  const Site site_;
+  const std::string robot_;
+  boost::asio::strand<boost::asio::any_io_executor> strand_;
+
+  mutable std::mutex mutex_;
+  SessionRecord record_;                     // guarded by mutex_, but for its constant parts
+  std::shared_ptr<storage::SessionLog> log_;  // guarded by mutex_; null once complete
+  // Guarded by mutex_: frames next_ .. received_-1, bounded by the stream's credit. The counts include the end of the drive.
+  std::deque<Item> queue_;
+  std::int64_t received_ = 0;
+  std::int64_t durable_ = 0;
+  std::int64_t processed_ = 0;
+  std::int64_t bytes_in_flight_ = 0;
+  std::optional<localization::PoseEstimate> newest_pose_;
+  bool ended_ = false;  // the log has the end of the drive
+  absl::Status fault_;
+  std::int64_t stream_epoch_ = 0;  // 0: none is attached
+  std::function<void()> wake_;
+  bool scheduled_ = false;
+  bool stopping_ = false;
+
+  // Strand-owned.
+  std::unique_ptr<Listening> listening_;  // null while mapping
+  storage::Commit commit_;                // what the frames since the last commit led to
+  std::int64_t next_ = 0;                 // the next frame to process
+  std::int64_t batch_bytes_ = 0;
+  frames::TimeNs batch_first_ns_ = 0;
+  frames::TimeNs batch_last_ns_ = 0;
+  frames::TimeNs snapshot_ns_ = 0;  // frame time of the last state snapshot
+  bool finished_ = false;
+  boost::asio::steady_timer retry_;
+};
+
+}  // namespace soundmap::pipeline

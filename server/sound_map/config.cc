@@ -1,0 +1,68 @@
+#include "sound_map/config.h"
+
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+
+namespace soundmap::sound_map {
+namespace {
+
+absl::Status Wrong(const char* field, double value, const char* what) {
+  return absl::InvalidArgumentError(
+      absl::StrCat("the sound map's ", field, " is ", value, ", but ", what));
+}
+
+bool IsIn(double value, double min, double max) { return value >= min && value <= max; }
+
+}  // namespace
+
+absl::Status SoundSourceConfig::Validate() const {
+  if (!IsIn(max_sources, 1, 100'000)) {
+    return Wrong("max_sources", max_sources, "must be 1 to 100000");
+  }
+  if (!IsIn(max_voxels, 1, 10'000'000)) {
+    return Wrong("max_voxels", max_voxels, "must be 1 to 10000000");
+  }
+  if (!IsIn(max_seeds, 1, 100'000)) return Wrong("max_seeds", max_seeds, "must be 1 to 100000");
+  if (!IsIn(max_iterations, 1, 10'000)) {
+    return Wrong("max_iterations", max_iterations, "must be 1 to 10000");
+  }
+  if (!IsIn(smoothing_sigma_m, 1e-3, 1.0)) {
+    return Wrong("smoothing_sigma_m", smoothing_sigma_m, "must be 0.001 to 1");
+  }
+  if (!IsIn(separation_m, 0.0, 100.0)) {
+    return Wrong("separation_m", separation_m, "must be 0 to 100");
+  }
+  if (!IsIn(core_radius_m, 1e-3, 10.0)) {
+    return Wrong("core_radius_m", core_radius_m, "must be 0.001 to 10");
+  }
+  if (!IsIn(full_evidence, 0.0, 1e9)) return Wrong("full_evidence", full_evidence, "must be 0 to 1e9");
+  return absl::OkStatus();
+}
+
+absl::Status SoundMapConfig::Validate() const {
+  if (!IsIn(voxel_size_m, 1e-3, 10.0)) {
+    return Wrong("voxel_size_m", voxel_size_m, "must be 0.001 to 10");
+  }
+  if (!IsIn(min_log_odds, -1e6, 0.0) || min_log_odds == 0.0) {
+    return Wrong("min_log_odds", min_log_odds, "must be below 0 and finite");
+  }
+  if (!IsIn(max_log_odds, 0.0, 1e6) || max_log_odds == 0.0) {
+    return Wrong("max_log_odds", max_log_odds, "must be above 0 and finite");
+  }
+  return sources.Validate();
+}
+
+SoundMapConfig PaperConfig() {
+  SoundMapConfig config;
+  config.stop_rule = StopRule::kFreeze;
+  config.min_log_odds = -40.0;
+  config.max_log_odds = 40.0;
+  config.sources.method = SourceMethod::kKMeans;
+  config.sources.min_updates = 0;
+  return config;
+}
+
+SoundMapConfig DefaultConfig() { return {}; }
+
+}  // namespace soundmap::sound_map

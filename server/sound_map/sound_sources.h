@@ -1,0 +1,33 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "sound_map/config.h"
+#include "sound_map/snapshot.h"
+
+namespace soundmap::sound_map {
+
+struct SoundSource {
+  // Of the voxel that was heard first and of when that was: the same after a restart, and while more is heard of the source.
+  std::uint64_t id = 0;
+  Eigen::Vector3d position_in_map_m = Eigen::Vector3d::Zero();
+  double extent_m = 0.0;     // edge of the square that spreads as far as its voxels do
+  double probability = 0.0;  // that there is a source here
+  std::uint64_t evidence_count = 0;  // supporting observations of its voxels
+  int voxel_count = 0;
+  float peak_log_odds = 0.0f;  // largest L of its voxels
+  frames::TimeNs first_heard_ns = 0;
+  frames::TimeNs last_heard_ns = 0;
+
+  bool operator==(const SoundSource&) const = default;
+};
+
+// Section VI: the sound sources of the map, the most probable first, then by id. A pure function of the snapshot's voxels.
+// The configuration must be valid.
+std::vector<SoundSource> FindSoundSources(const Snapshot& snapshot,
+                                          const SoundSourceConfig& config);
+
+}  // namespace soundmap::sound_map

@@ -1,0 +1,62 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "frames/frames.h"
+#include "sound_map/evidence.h"
+
+namespace soundmap::storage {
+
+// One audio scan's evidence in the journal of its site.
+struct JournalEntry {
+  std::int64_t offset = 0;           // of the frame that completed the scan
+  std::string summary;               // the pipeline's own bytes: pose, noise floor, peaks
+  sound_map::EvidenceScan evidence;  // bit-exact and in order; at most 2^20 end points
+};
+
+struct JournalRecord {
+  std::uint64_t sequence =
+      0;  // counts the entries of the site from 1; the order in which the map was changed
+  std::string session;
+  JournalEntry entry;
+};
+
+struct TrajectoryEntry {
+  frames::TimeNs time_ns = 0;  // an entry of the same session and time replaces the earlier one
+  std::string pose;            // the pipeline's own bytes
+};
+
+struct StateSnapshot {
+  std::int64_t offset = 0;  // the state after the frames before this offset
+  std::string state;        // the pipeline's own bytes
+};
+
+// What the processing of some frames of one session left behind; takes effect as a whole or not at
+// all.
+struct Commit {
+  std::string site;
+  std::string session;
+  std::int64_t processed_offset = 0;  // frames 0 .. processed_offset-1 have had their effect
+  std::vector<JournalEntry> journal;
+  std::vector<TrajectoryEntry> trajectory;
+  std::optional<StateSnapshot> state;  // replaces the one before
+};
+
+// A cube of 32^3 voxels: voxel key / 32 on each axis.
+struct TileKey {
+  std::uint16_t x = 0;
+  std::uint16_t y = 0;
+  std::uint16_t z = 0;
+
+  auto operator<=>(const TileKey&) const = default;
+};
+
+struct Tile {
+  TileKey key;
+  std::string bytes;  // the sound map's own; empty removes the tile
+};
+
+}  // namespace soundmap::storage

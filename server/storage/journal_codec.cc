@@ -1,0 +1,262 @@
+#include "storage/journal_codec.h"
+
+#include <zstd.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cstdint>
+#include <cstdlib>
+#include <limits>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "storage/bytes.h"
+
+namespace soundmap::storage {
+namespace {
+
+using geometry::VoxelKey;
+using sound_map::EndPoint;
+
+constexpr char kVersion = 1;
+constexpr std::size_t kMaxEndPoints = 1 << 20;
+constexpr std::size_t kMaxSummaryBytes = 64 << 10;
+constexpr std::size_t kMaxNameBytes = 63;
+constexpr int kZstdLevel = 1;
+constexpr std::size_t kMaxClasses = 255;  // more values than that stand as floats
+constexpr VoxelKey kCentreKey = {VoxelKey::kCentre, VoxelKey::kCentre, VoxelKey::kCentre};
+
+// A key is predicted by the one `lag` end points before it. In a lattice of directions neighbours
+// lie a Fibonacci number apart, in rows 1 apart.
+constexpr std::array<std::size_t, 15> kLags = {1,  2,  3,   5,   8,   13,  21, 34,
+                                               55, 89, 144, 233, 377, 610, 987};
+
+// The columns of a block; 3 bytes a varint at most, 4 a float.
+constexpr std::size_t kMaxBlockBytesPerEndPoint = 3 * 3 + 4;
+constexpr std::size_t kMaxBlockOverheadBytes = 64 + 4 * kMaxClasses;
+
+const VoxelKey& Predicted(const std::vector<EndPoint>& points, std::size_t i, std::size_t lag) {
+  if (i >= lag) return points[i - lag].key;
+  return i > 0 ? points[i - 1].key : kCentreKey;
+}
+
+// Differences are taken modulo 2^16.
+std::uint64_t ZigZagDifference(std::uint16_t value, std::uint16_t predicted) {
+  return ZigZag(static_cast<std::int16_t>(value - predicted));
+}
+
+std::uint64_t ZigZagBits(std::uint16_t value, std::uint16_t predicted) {
+  return static_cast<std::uint64_t>(std::bit_width(ZigZagDifference(value, predicted)));
+}
+
+// The lag whose differences take the fewest bits, judged by a part of the end points.
+std::size_t BestLag(const std::vector<EndPoint>& points) {
+  constexpr std::size_t kSamples = 512;
+  const std::size_t step = std::max<std::size_t>(1, points.size() / kSamples);
+  std::size_t best = kLags[0];
+  std::uint64_t best_bits = std::numeric_limits<std::uint64_t>::max();
+  for (const std::size_t lag : kLags) {
+    std::uint64_t bits = 0;
+    for (std::size_t i = 0; i < points.size(); i += step) {
+      const VoxelKey& key = points[i].key;
+      const VoxelKey& predicted = Predicted(points, i, lag);
+      bits += ZigZagBits(key.x, predicted.x) + ZigZagBits(key.y, predicted.y) +
+              ZigZagBits(key.z, predicted.z);
+    }
+    if (bits < best_bits) {
+      best_bits = bits;
+      best = lag;
+    }
+  }
+  return best;
+}
+
+void AppendFloat(std::uint32_t float_bits, std::string* out) {
+  for (int shift = 0; shift < 32; shift += 8) {
+    out->push_back(static_cast<char>(float_bits >> shift));
+  }
+}
+
+// The distinct likelihoods by their bits, in the order of first appearance; empty if there are too
+// many.
+std::vector<std::uint32_t> ClassesOf(const std::vector<EndPoint>& points,
+                                     std::vector<unsigned char>* class_of_point) {
+  std::vector<std::uint32_t> classes;
+  class_of_point->reserve(points.size());
+  for (const EndPoint& point : points) {
+    const auto bits = std::bit_cast<std::uint32_t>(point.likelihood);
+    // Neighbours are alike, so the search starts at the class before.
+    std::size_t found = class_of_point->empty() ? 0 : class_of_point->back();
+    if (found >= classes.size() || classes[found] != bits) {
+      found = static_cast<std::size_t>(std::find(classes.begin(), classes.end(), bits) -
+                                       classes.begin());
+    }
+    if (found == classes.size()) {
+      if (classes.size() == kMaxClasses) return {};
+      classes.push_back(bits);
+    }
+    class_of_point->push_back(static_cast<unsigned char>(found));
+  }
+  return classes;
+}
+
+std::string EncodeBlock(const std::vector<EndPoint>& points) {
+  std::string block;
+  block.reserve(points.size() * 5 + kMaxBlockOverheadBytes);
+  const std::size_t lag = BestLag(points);
+  AppendVarint(lag, &block);
+
+  std::string column;
+  for (const auto axis : {&VoxelKey::x, &VoxelKey::y, &VoxelKey::z}) {
+    column.clear();
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      AppendVarint(ZigZagDifference(points[i].key.*axis, Predicted(points, i, lag).*axis), &column);
+    }
+    AppendVarint(column.size(), &block);
+    block += column;
+  }
+
+  std::vector<unsigned char> class_of_point;
+  const std::vector<std::uint32_t> classes = ClassesOf(points, &class_of_point);
+  AppendVarint(classes.size(), &block);
+  if (classes.empty()) {
+    for (const EndPoint& point : points) {
+      AppendFloat(std::bit_cast<std::uint32_t>(point.likelihood), &block);
+    }
+  } else {
+    for (const std::uint32_t bits : classes) AppendFloat(bits, &block);
+    block.append(class_of_point.begin(), class_of_point.end());
+  }
+  return block;
+}
+
+float FloatFrom(std::string_view bytes) {
+  std::uint32_t bits = 0;
+  for (int i = 3; i >= 0; --i) bits = (bits << 8) | static_cast<unsigned char>(bytes[i]);
+  return std::bit_cast<float>(bits);
+}
+
+absl::Status Damaged(absl::string_view what) {
+  return absl::DataLossError(absl::StrCat("a journal entry is damaged: ", what));
+}
+
+absl::Status DecodeBlock(std::string_view block, std::size_t count, std::vector<EndPoint>* points) {
+  ByteSource source(block);
+  const std::uint64_t lag = source.TakeVarint();
+  if (!source.ok() || std::find(kLags.begin(), kLags.end(), lag) == kLags.end()) {
+    return Damaged("its lag is none that is used");
+  }
+  points->resize(count);
+  for (const auto axis : {&VoxelKey::x, &VoxelKey::y, &VoxelKey::z}) {
+    ByteSource column(source.Take(source.TakeVarint()));
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::uint64_t difference = column.TakeVarint();
+      if (difference > 0xffff) return Damaged("a difference of keys is beyond 16 bits");
+      (*points)[i].key.*axis =
+          static_cast<std::uint16_t>(Predicted(*points, i, lag).*axis + UnZigZag(difference));
+    }
+    if (!column.AtEnd()) return Damaged("a column of keys has another length");
+  }
+
+  const std::uint64_t class_count = source.TakeVarint();
+  if (class_count > kMaxClasses) return Damaged("it has too many classes");
+  if (class_count == 0) {
+    const std::string_view floats = source.Take(4 * count);
+    if (!source.AtEnd()) return Damaged("its likelihoods have another length");
+    for (std::size_t i = 0; i < count; ++i) {
+      (*points)[i].likelihood = FloatFrom(floats.substr(4 * i, 4));
+    }
+    return absl::OkStatus();
+  }
+  const std::string_view classes = source.Take(4 * class_count);
+  const std::string_view class_of_point = source.Take(count);
+  if (!source.AtEnd()) return Damaged("its classes have another length");
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto index = static_cast<unsigned char>(class_of_point[i]);
+    if (index >= class_count) return Damaged("an end point is of no class");
+    (*points)[i].likelihood = FloatFrom(classes.substr(4 * std::size_t{index}, 4));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<std::string> EncodeJournalEntry(const std::string& session,
+                                               const JournalEntry& entry) {
+  const std::vector<EndPoint>& points = entry.evidence.end_points;
+  if (points.size() > kMaxEndPoints) {
+    return absl::InvalidArgumentError(absl::StrCat("an audio scan with ", points.size(),
+                                                   " end points has more than ", kMaxEndPoints));
+  }
+  if (entry.summary.size() > kMaxSummaryBytes) {
+    return absl::InvalidArgumentError(absl::StrCat("the summary of an audio scan has ",
+                                                   entry.summary.size(), " bytes, more than ",
+                                                   kMaxSummaryBytes));
+  }
+  std::string value(1, kVersion);
+  AppendVarint(session.size(), &value);
+  value += session;
+  AppendVarint(ZigZag(entry.offset), &value);
+  AppendVarint(ZigZag(entry.evidence.stamp_ns), &value);
+  AppendVarint(entry.summary.size(), &value);
+  value += entry.summary;
+  AppendVarint(points.size(), &value);
+  if (points.empty()) return value;
+
+  const std::string block = EncodeBlock(points);
+  AppendVarint(block.size(), &value);
+  const std::size_t head_bytes = value.size();
+  value.resize(head_bytes + ZSTD_compressBound(block.size()));
+  const std::size_t size = ZSTD_compress(value.data() + head_bytes, value.size() - head_bytes,
+                                         block.data(), block.size(), kZstdLevel);
+  if (ZSTD_isError(size)) {
+    return absl::InternalError(
+        absl::StrCat("cannot compress a journal entry: ", ZSTD_getErrorName(size)));
+  }
+  value.resize(head_bytes + size);
+  value.shrink_to_fit();
+  return value;
+}
+
+absl::Status DecodeJournalEntry(std::string_view bytes, JournalRecord* record) {
+  ByteSource source(bytes);
+  const std::string_view version = source.Take(1);
+  if (!source.ok()) return Damaged("it is empty");
+  if (version[0] != kVersion) {
+    return absl::DataLossError(absl::StrCat("a journal entry has version ",
+                                            static_cast<unsigned char>(version[0]),
+                                            ", which is unknown"));
+  }
+  const std::string_view session = source.Take(source.TakeVarint());
+  JournalEntry& entry = record->entry;
+  entry.offset = UnZigZag(source.TakeVarint());
+  entry.evidence.stamp_ns = UnZigZag(source.TakeVarint());
+  const std::string_view summary = source.Take(source.TakeVarint());
+  const std::uint64_t count = source.TakeVarint();
+  if (!source.ok()) return Damaged("it ends early");
+  if (session.size() > kMaxNameBytes || summary.size() > kMaxSummaryBytes ||
+      count > kMaxEndPoints) {
+    return Damaged("a length is beyond its limit");
+  }
+  record->session = session;
+  entry.summary = summary;
+  entry.evidence.end_points.clear();
+  if (count == 0) return source.AtEnd() ? absl::OkStatus() : Damaged("bytes follow its end");
+
+  const std::uint64_t block_bytes = source.TakeVarint();
+  if (!source.ok()) return Damaged("it ends early");
+  if (block_bytes < 4 * count ||
+      block_bytes > kMaxBlockBytesPerEndPoint * count + kMaxBlockOverheadBytes) {
+    return Damaged("its length does not fit its end points");
+  }
+  const std::string_view compressed = source.Rest();
+  std::string block(block_bytes, '\0');
+  if (ZSTD_decompress(block.data(), block.size(), compressed.data(), compressed.size()) !=
+      block.size()) {
+    return Damaged("it does not decompress to its length");
+  }
+  return DecodeBlock(block, count, &entry.evidence.end_points);
+}
+
+}  // namespace soundmap::storage

@@ -1,0 +1,485 @@
+// Runs the program `soundmap` itself against a fake server.
+#include <fcntl.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/wait.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "fake_server.h"
+#include "recording/foxglove_messages.h"
+#include "recording/writer.h"
+
+extern char** environ;
+
+namespace soundmap {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::FakeServer;
+using testing::FakeState;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::StartsWith;
+
+std::string ReadFile(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  return std::string(std::istreambuf_iterator<char>(file), {});
+}
+
+struct Result {
+  int exit_status = -1;
+  std::string out;
+  std::string err;
+};
+
+// The running program.
+class Program {
+ public:
+  Program(const fs::path& directory, std::vector<std::string> arguments) : directory_(directory) {
+    arguments.insert(arguments.begin(), SOUNDMAP_BIN_DIR "/soundmap");
+    std::vector<char*> argv;
+    for (std::string& argument : arguments) argv.push_back(argument.data());
+    argv.push_back(nullptr);
+    posix_spawn_file_actions_t actions;
+    posix_spawn_file_actions_init(&actions);
+    const int flags = O_WRONLY | O_CREAT | O_TRUNC;
+    posix_spawn_file_actions_addopen(&actions, 1, (directory_ / "out").c_str(), flags, 0600);
+    posix_spawn_file_actions_addopen(&actions, 2, (directory_ / "err").c_str(), flags, 0600);
+    EXPECT_EQ(posix_spawn(&pid_, argv[0], &actions, nullptr, argv.data(), environ), 0) << argv[0];
+    posix_spawn_file_actions_destroy(&actions);
+  }
+  void Interrupt() const { kill(pid_, SIGINT); }
+  Result Wait() const {
+    int status = 0;
+    waitpid(pid_, &status, 0);
+    return {WIFEXITED(status) ? WEXITSTATUS(status) : 1000 + WTERMSIG(status),
+            ReadFile(directory_ / "out"), ReadFile(directory_ / "err")};
+  }
+
+ private:
+  fs::path directory_;
+  pid_t pid_ = 0;
+};
+
+class CliTest : public ::testing::Test {
+ protected:
+  CliTest() {
+    directory_ =
+        fs::path(::testing::TempDir()) /
+        (std::string("cli_") + ::testing::UnitTest::GetInstance()->current_test_info()->name());
+    fs::remove_all(directory_);
+    fs::create_directories(directory_);
+    unsetenv("SOUNDMAP_SERVER");
+  }
+  // With --server of the fake server.
+  Result Run(std::vector<std::string> arguments) {
+    arguments.insert(arguments.end(), {"--server", server_.address()});
+    return Program(directory_, arguments).Wait();
+  }
+  std::string Write(const std::string& name, const std::string& text) const {
+    std::ofstream(directory_ / name, std::ios::binary) << text;
+    return (directory_ / name).string();
+  }
+  FakeState& state() { return server_.state(); }
+
+  FakeServer server_;
+  fs::path directory_;
+};
+
+// One line, a sentence that begins with the program's name.
+void ExpectOneSentence(const Result& result) {
+  EXPECT_THAT(result.err, StartsWith("soundmap: "));
+  EXPECT_EQ(std::count(result.err.begin(), result.err.end(), '\n'), 1) << result.err;
+}
+
+TEST_F(CliTest, WrongUsageExitsWith2) {
+  const std::vector<std::vector<std::string>> lines = {
+      {},
+      {"bogus"},
+      {"site"},
+      {"site", "create"},
+      {"site", "create", "a", "--profile", "x"},
+      {"map", "build"},
+      {"map", "export", "a", "--what", "smell", "--format", "ot", "-o", "f"},
+      {"map", "export", "a", "--what", "sound", "--format", "exe", "-o", "f"},
+      {"map", "export", "a", "--what", "sound", "--format", "ot"},
+      {"sources"},
+      {"sources", "a", "b"},
+      {"sources", "a", "--format", "xml"},
+      {"sources", "a", "--min-probability", "1.5"},
+      {"sources", "a", "--since", "yesterday"},
+      {"sources", "a", "--unknown"},
+      {"sources", "a", "--server", "nowhere"},
+      {"voxels", "a"},
+      {"voxels", "a", "--box", "1,2,3"},
+      {"voxels", "a", "--box", "1,0,0,0,1,1"},
+      {"voxels", "a", "--box", "0,0,0,1,1,nan"},
+      {"voxels", "a", "--box", "0,0,0,1,1,1", "--min-updates", "-1"},
+      {"watch"},
+      {"watch", "a", "--count", "0"},
+      {"robots", "a", "--format", "csv"},
+      {"robots", "a", "--session", "s"},
+      {"robots", "a", "--path", "--format", "table"},
+      {"evaluate", "a"},
+  };
+  for (const auto& line : lines) {
+    const Result result = Program(directory_, line).Wait();
+    EXPECT_EQ(result.exit_status, 2) << ::testing::PrintToString(line) << result.err;
+    EXPECT_THAT(result.out, IsEmpty());
+    ExpectOneSentence(result);
+  }
+}
+
+TEST_F(CliTest, HelpIsNoError) {
+  for (const char* command : {"", "site", "map", "sources", "voxels", "watch", "robots", "sessions",
+                              "operations", "evaluate"}) {
+    std::vector<std::string> line = {"--help"};
+    if (*command != '\0') line.insert(line.begin(), command);
+    const Result result = Program(directory_, line).Wait();
+    EXPECT_EQ(result.exit_status, 0) << command;
+    EXPECT_THAT(result.out, HasSubstr("Usage: soundmap"));
+  }
+}
+
+TEST_F(CliTest, AnUnreachableServerIsOneSentence) {
+  std::string address;
+  {
+    const FakeServer gone;
+    address = gone.address();
+  }
+  for (const std::vector<std::string>& line : std::vector<std::vector<std::string>>{
+           {"site", "list"}, {"sources", "a"}, {"watch", "a"}, {"map", "build", "a"}}) {
+    std::vector<std::string> arguments = line;
+    arguments.insert(arguments.begin(), {"--server", address});
+    const Result result = Program(directory_, arguments).Wait();
+    EXPECT_EQ(result.exit_status, 1);
+    EXPECT_EQ(result.err,
+              "soundmap: cannot reach the server at " + address + ": connection refused\n");
+    EXPECT_THAT(result.out, IsEmpty());
+  }
+}
+
+TEST_F(CliTest, TakesTheServerFromTheEnvironment) {
+  setenv("SOUNDMAP_SERVER", server_.address().c_str(), 1);
+  const Result result = Program(directory_, {"site", "list", "--format", "json"}).Wait();
+  unsetenv("SOUNDMAP_SERVER");
+  EXPECT_EQ(result.exit_status, 0) << result.err;
+  EXPECT_EQ(result.out, "{\"sites\":[]}\n");
+}
+
+TEST_F(CliTest, AServersErrorIsItsSentence) {
+  const Result result = Run({"site", "show", "hall"});
+  EXPECT_EQ(result.exit_status, 1);
+  EXPECT_EQ(result.err, "soundmap: there is no sites/hall\n");
+}
+
+TEST_F(CliTest, ATlsHandshakeThatFailsIsOneSentence) {
+  // The fake server speaks plain text. The certificate need not be a good one: it is never used.
+  const std::string ca =
+      Write("ca.pem", "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n");
+  const Result result = Run({"site", "list", "--tls-ca", ca});
+  EXPECT_EQ(result.exit_status, 1);
+  EXPECT_THAT(result.err, HasSubstr(server_.address()));
+  ExpectOneSentence(result);
+}
+
+TEST_F(CliTest, AMissingFileIsNamed) {
+  for (const std::vector<std::string>& line : std::vector<std::vector<std::string>>{
+           {"site", "list", "--token-file", "/no/such"},
+           {"site", "list", "--tls-ca", "/no/such"},
+           {"map", "build", "a", "--poses", "/no/such"},
+           {"evaluate", "a", "--truth", "/no/such"},
+           {"evaluate", "a", "--drive", "/no/such"},
+           {"evaluate", "a", "--poses", "/no/such"},
+           {"evaluate", "a", "--relations", "/no/such"},
+       }) {
+    const Result result = Run(line);
+    EXPECT_EQ(result.exit_status, 1);
+    EXPECT_THAT(result.err, HasSubstr("/no/such"));
+    ExpectOneSentence(result);
+  }
+}
+
+TEST_F(CliTest, CreatesASiteWithAMap) {
+  const Result result = Run({"site", "create", "hall", "--map", Write("hall.bt", "tree"),
+                             "--profile", "paper", "--format", "json"});
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  const auto json = nlohmann::json::parse(result.out);
+  EXPECT_EQ(json["id"], "hall");
+  EXPECT_EQ(json["profile"], "paper");
+  EXPECT_EQ(state().imported_data, "tree");
+  EXPECT_THAT(Run({"site", "list"}).out, HasSubstr("hall  paper"));
+  EXPECT_EQ(Run({"site", "delete", "hall"}).exit_status, 0);
+  EXPECT_TRUE(state().sites.empty());
+}
+
+TEST_F(CliTest, ASiteWhoseMapIsRefusedIsNotLeftBehind) {
+  state().operation.set_error_code(3);
+  state().operation.set_error_message("this is not an OctoMap file");
+  const Result result = Run({"site", "create", "hall", "--map", Write("hall.bt", "junk")});
+  EXPECT_EQ(result.exit_status, 1);
+  EXPECT_EQ(result.err, "soundmap: this is not an OctoMap file\n");
+  EXPECT_TRUE(state().sites.empty());
+}
+
+TEST_F(CliTest, InterruptCancelsTheBuild) {
+  state().waits_until_done = -1;
+  const Program program(directory_, {"map", "build", "hall", "--server", server_.address()});
+  server_.WaitFor([&] { return state().calls["WaitOperation"] > 0; });
+  program.Interrupt();
+  const Result result = program.Wait();
+  EXPECT_EQ(result.exit_status, 1);
+  EXPECT_EQ(result.err, "soundmap: the operation was cancelled\n");
+  EXPECT_EQ(state().calls["CancelOperation"], 1);
+}
+
+TEST_F(CliTest, BuildsFromSurveyedPoses) {
+  const Result result = Run({"map", "build", "hall", "--from-session", "m1", "--poses",
+                             Write("p.csv", "1,2,3,0.5\n2,2,3,0.5\n")});
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  EXPECT_EQ(state().last_build_request.session(), "sites/hall/sessions/m1");
+  EXPECT_EQ(state().last_build_request.surveyed_poses_size(), 2);
+}
+
+TEST_F(CliTest, ExportsAFloorPlan) {
+  v1::ExportMapResponse yaml, pgm;
+  yaml.set_file_suffix(".yaml");
+  yaml.set_data("image: x.pgm\n");
+  pgm.set_file_suffix(".pgm");
+  pgm.set_data("P5");
+  state().export_chunks = {yaml, pgm};
+  const Result result = Run({"map", "export", "hall", "--what", "floor-plan", "--format", "yaml",
+                             "-o", (directory_ / "plan.yaml").string()});
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  EXPECT_EQ(ReadFile(directory_ / "plan.yaml"), "image: plan.pgm\n");
+  EXPECT_EQ(ReadFile(directory_ / "plan.pgm"), "P5");
+  EXPECT_EQ(state().last_export_request.what(), v1::EXPORT_WHAT_FLOOR_PLAN);
+}
+
+v1::SoundSource Source(const std::string& id, double x, double y, double z, double probability) {
+  v1::SoundSource source;
+  source.set_name("sites/hall/soundSources/" + id);
+  source.mutable_position_m()->set_x(x);
+  source.mutable_position_m()->set_y(y);
+  source.mutable_position_m()->set_z(z);
+  source.set_probability(probability);
+  source.set_extent_m(0.5);
+  source.set_evidence_count(40);
+  source.set_first_heard_ns(1'000'000'000'000);
+  source.set_last_heard_ns(1'060'250'000'000);
+  source.set_peak_log_odds(3.5);
+  source.set_voxel_count(9);
+  return source;
+}
+
+TEST_F(CliTest, PrintsSources) {
+  state().sources = {Source("s1", 2, 1.6, 2.7, 0.75), Source("s2", 0.1, -5.4, 2.7, 0.9)};
+  const std::vector<std::string> line = {"sources",           "hall", "--format", "json",
+                                         "--min-probability", "0.5",  "--since",  "10.5"};
+  const Result json = Run(line);
+  ASSERT_EQ(json.exit_status, 0) << json.err;
+  EXPECT_EQ(json.out,
+            R"({"site":"hall","revision":12,"as_of_ns":1000000000000,"sources":[)"
+            R"({"id":"s2","position_m":[0.1,-5.4,2.7],"extent_m":0.5,"probability":0.9,)"
+            R"("evidence_count":40,"first_heard_ns":1000000000000,"last_heard_ns":1060250000000,)"
+            R"("peak_log_odds":3.5,"voxel_count":9},)"
+            R"({"id":"s1","position_m":[2.0,1.6,2.7],"extent_m":0.5,"probability":0.75,)"
+            R"("evidence_count":40,"first_heard_ns":1000000000000,"last_heard_ns":1060250000000,)"
+            R"("peak_log_odds":3.5,"voxel_count":9}]})"
+            "\n");
+  EXPECT_EQ(state().last_sources_request.since_ns(), 10'500'000'000);
+  EXPECT_EQ(state().last_sources_request.min_probability(), 0.5);
+  std::swap(state().sources[0], state().sources[1]);
+  EXPECT_EQ(Run(line).out, json.out);
+  EXPECT_EQ(
+      Run({"sources", "hall"}).out,
+      "SOURCE  X [m]  Y [m]  Z [m]  EXTENT [m]  PROBABILITY  EVIDENCE  FIRST HEARD            "
+      "   LAST HEARD\n"
+      "s2       0.10  -5.40   2.70        0.50        0.900        40  "
+      "1970-01-01T00:16:40.000Z  1970-01-01T00:17:40.250Z\n"
+      "s1       2.00   1.60   2.70        0.50        0.750        40  "
+      "1970-01-01T00:16:40.000Z  1970-01-01T00:17:40.250Z\n");
+}
+
+TEST_F(CliTest, PrintsVoxels) {
+  v1::VoxelChunk chunk;
+  chunk.set_voxel_size_m(0.05);
+  chunk.set_revision(3);
+  for (const std::uint32_t key : {32808u, 32768u}) {  // not in order
+    chunk.add_x_key(key);
+    chunk.add_y_key(32767);
+    chunk.add_z_key(32768);
+    chunk.add_log_odds(0.9f);
+    chunk.add_update_count(4);
+    chunk.add_last_update_ns(1'000'000'000'123);
+  }
+  state().voxel_chunks = {chunk};
+  const Result csv = Run({"voxels", "hall", "--box", "-1,-1,-1,3,1,1", "--format", "csv"});
+  ASSERT_EQ(csv.exit_status, 0) << csv.err;
+  EXPECT_EQ(csv.out,
+            "x_m,y_m,z_m,log_odds,update_count,last_update_ns\n"
+            "0.025,-0.025,0.025,0.9,4,1000000000123\n"
+            "2.025,-0.025,0.025,0.9,4,1000000000123\n");
+  EXPECT_EQ(state().last_voxels_request.box().min_m().x(), -1.0);
+  EXPECT_EQ(state().last_voxels_request.box().max_m().x(), 3.0);
+  const Result json = Run({"voxels", "hall", "--box", "-1,-1,-1,3,1,1"});
+  EXPECT_EQ(json.out, R"({"site":"hall","revision":3,"as_of_ns":0,"voxel_size_m":0.05,"voxels":[)"
+                      R"({"x_m":0.025,"y_m":-0.025,"z_m":0.025,"log_odds":0.9,"update_count":4,)"
+                      R"("last_update_ns":1000000000123},)"
+                      R"({"x_m":2.025,"y_m":-0.025,"z_m":0.025,"log_odds":0.9,"update_count":4,)"
+                      R"("last_update_ns":1000000000123}]})"
+                      "\n");
+}
+
+TEST_F(CliTest, WatchesScansInDegrees) {
+  v1::WatchEvent event;
+  event.set_revision(8);
+  event.set_resume_token("t8");
+  v1::AudioScan& scan = *event.mutable_audio_scan();
+  scan.set_robot("robots/r1");
+  scan.set_session("sites/hall/sessions/s1");
+  scan.set_time_ns(5);
+  scan.set_noise_floor(3.25);
+  scan.mutable_pose()->mutable_map_from_base()->set_x_m(1.5);
+  scan.mutable_pose()->set_state(v1::LOCALIZATION_STATE_TRACKING);
+  auto& peak = *scan.add_peaks();
+  peak.set_azimuth_rad(std::acos(-1.0) / 2);
+  peak.set_elevation_rad(-std::acos(-1.0) / 4);
+  peak.set_power(17.5);
+  state().watch_script = {{.events = {event}, .stays_open = true}};
+  const Result result = Run({"watch", "hall", "--scans", "--count", "1"});
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  EXPECT_EQ(result.out,
+            R"({"event":"audio_scan","time_ns":5,"robot":"r1","session":"s1",)"
+            R"("pose":{"time_ns":0,"x_m":1.5,"y_m":0.0,"yaw_rad":0.0,"state":"tracking"},)"
+            R"("noise_floor":3.25,"peaks":[{"azimuth_deg":90.0,"elevation_deg":-45.0,)"
+            R"("power":17.5}],"end_point_count":0,"revision":8,"resume_token":"t8"})"
+            "\n");
+  EXPECT_TRUE(state().watch_requests[0].audio_scans());
+  EXPECT_FALSE(state().watch_requests[0].sound_sources());
+}
+
+v1::PoseEstimate Pose(std::int64_t time_ns, double x, double y) {
+  v1::PoseEstimate pose;
+  pose.set_time_ns(time_ns);
+  pose.mutable_map_from_base()->set_x_m(x);
+  pose.mutable_map_from_base()->set_y_m(y);
+  pose.set_state(v1::LOCALIZATION_STATE_TRACKING);
+  return pose;
+}
+
+v1::Session ListeningSession(const std::string& id, std::int64_t create_time_ns) {
+  v1::Session session;
+  session.set_name("sites/hall/sessions/" + id);
+  session.set_robot("robots/r1");
+  session.set_purpose(v1::PURPOSE_LISTENING);
+  session.set_create_time_ns(create_time_ns);
+  return session;
+}
+
+TEST_F(CliTest, PrintsThePathOfTheNewestSession) {
+  state().sessions = {ListeningSession("old", 1), ListeningSession("new", 3),
+                      ListeningSession("mid", 2)};
+  state().paths["sites/hall/sessions/new"] = {Pose(1'000'250'000'000, 1.5, -2)};
+  const Result csv = Run({"robots", "hall", "--path"});
+  ASSERT_EQ(csv.exit_status, 0) << csv.err;
+  EXPECT_EQ(csv.out, "# timestamp_s,x,y,yaw\n1000.250000000,1.500000,-2.000000,0.000000\n");
+  EXPECT_EQ(Run({"robots", "hall", "--path", "--format", "tum", "--session", "new"}).out,
+            "# timestamp x y z qx qy qz qw\n"
+            "1000.250000000 1.500000 -2.000000 0 0 0 0.000000000 1.000000000\n");
+}
+
+TEST_F(CliTest, Evaluates) {
+  v1::Site site;
+  site.set_name("sites/hall");
+  site.set_max_range_m(10.0);
+  state().sites["sites/hall"] = site;
+  state().sources = {Source("s1", 2, 1, 2.5, 0.9), Source("s2", 2.25, 1, 2.5, 0.8),
+                     Source("s3", 8, 8, 0, 0.7), Source("s4", 8, 8, 0, 0.3)};
+  state().sessions = {ListeningSession("s", 1)};
+  state().paths["sites/hall/sessions/s"] = {Pose(0, 0, 0.25), Pose(1'000'000'000, 1, 0.25)};
+  const std::string truth = Write("t.truth.json", R"({"sources": [{"position": [2, 1, 2.75]}]})");
+  const std::string poses = Write("p.csv", "0,0,0,0\n1,1,0,0\n");
+  const std::string relations = Write("r.txt", "0 1 0.5 0 0 0 0 0\n");
+  const Result result = Run({"evaluate", "hall", "--truth", truth, "--poses", poses, "--relations",
+                             relations, "--format", "json"});
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  EXPECT_EQ(result.out,
+            R"({"sources":{"true":1,"detected":1,"out_of_view":0,"error_mean_m":0.25,)"
+            R"("error_std_m":0.0,"false":1,"double":1},)"
+            R"("pose":{"error_mean_m":0.25,"error_p95_m":0.25,"yaw_error_mean_deg":0.0,)"
+            R"("lost_fraction":0.0},)"
+            R"("relations":{"trans_mean_m":0.5,"trans_std_m":0.0,"rot_mean_deg":0.0}})"
+            "\n");
+  EXPECT_THAT(result.err, IsEmpty());
+  const Result other = Run({"evaluate", "hall", "--poses", poses, "--robot", "r2"});
+  EXPECT_EQ(other.exit_status, 1);
+  EXPECT_EQ(other.err, "soundmap: the site hall has no session of the robot r2\n");
+}
+
+// The recording of a robot that goes along x at 1 m/s for 10 s; its array is at (0, 0, 1) above it.
+std::string WriteDrive(const fs::path& path, bool with_truth) {
+  constexpr std::int64_t kStepNs = 100'000'000;
+  auto writer = recording::Writer::Create(path.string(), {}).value();
+  foxglove::FrameTransforms transforms;
+  Eigen::Isometry3d base_from_array = Eigen::Isometry3d::Identity();
+  base_from_array.translation().z() = 1.0;
+  *transforms.add_transforms() =
+      recording::MakeFrameTransform(kStepNs, "base_link", "mic_array", base_from_array);
+  EXPECT_TRUE(
+      recording::WriteMessage(*writer, recording::kTransformsTopic, kStepNs, 0, transforms).ok());
+  for (int i = 1; with_truth && i <= 101; ++i) {
+    Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+    pose.translation().x() = 0.1 * (i - 1);
+    EXPECT_TRUE(recording::WriteMessage(*writer, recording::kGroundTruthTopic, i * kStepNs, i,
+                                        recording::MakePoseInFrame(i * kStepNs, "map", pose))
+                    .ok());
+  }
+  EXPECT_TRUE(writer->Close().ok());
+  return path.string();
+}
+
+TEST_F(CliTest, EvaluatesADrive) {
+  v1::Site site;
+  site.set_name("sites/hall");
+  site.set_max_range_m(4.0);
+  state().sites["sites/hall"] = site;
+  state().sources = {Source("s1", 5, 3, 1.5, 0.9)};
+  state().sessions = {ListeningSession("s", 1)};
+  state().paths["sites/hall/sessions/s"] = {Pose(1'000'000'000, 0.9, 0.5),
+                                            Pose(5'050'000'000, 4.95, 0.5)};
+  // Within 4 m of the first source for sqrt(16 - 9) * 2 = 5.3 s, of the second for sqrt(16 - 10.89)
+  // * 2 = 4.5 s.
+  const std::string truth = Write(
+      "t.truth.json", R"({"sources": [{"position": [5, 3, 1.0]}, {"position": [5, -3.3, 1.0]}]})");
+  const std::string drive = WriteDrive(directory_ / "d.mcap", true);
+  const Result result = Run({"evaluate", "hall", "--truth", truth, "--drive", drive});
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  const auto json = nlohmann::json::parse(result.out);
+  EXPECT_EQ(json["sources"]["true"], 1);
+  EXPECT_EQ(json["sources"]["detected"], 1);
+  EXPECT_EQ(json["sources"]["out_of_view"], 1);
+  EXPECT_NEAR(json["pose"]["error_mean_m"], 0.5, 1e-9);
+  EXPECT_FALSE(json.contains("relations"));
+
+  const std::string blind = WriteDrive(directory_ / "blind.mcap", false);
+  const Result refused = Run({"evaluate", "hall", "--truth", truth, "--drive", blind});
+  EXPECT_EQ(refused.exit_status, 1);
+  EXPECT_EQ(refused.err, "soundmap: " + blind + " has no /ground_truth/pose to compare with\n");
+}
+
+TEST_F(CliTest, SaysThatOutputCannotBeWritten) {
+  const std::string command = std::string(SOUNDMAP_BIN_DIR "/soundmap site list --server ") +
+                              server_.address() + " >/dev/full 2>" + (directory_ / "err").string();
+  EXPECT_EQ(WEXITSTATUS(std::system(command.c_str())), 1);
+  EXPECT_EQ(ReadFile(directory_ / "err"), "soundmap: cannot write to standard output\n");
+}
+
+}  // namespace
+}  // namespace soundmap

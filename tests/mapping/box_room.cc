@@ -1,0 +1,141 @@
+#include "tests/mapping/box_room.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "geometry/angles.h"
+
+namespace soundmap::mapping {
+namespace {
+
+using geometry::kPi;
+using geometry::Pose2;
+
+double BoxDistance(const Box& box, const Eigen::Vector3d& point) {
+  const Eigen::Vector3d outside = (box.min - point).cwiseMax(point - box.max);
+  return outside.cwiseMax(0.0).norm() + std::min(outside.maxCoeff(), 0.0);
+}
+
+Eigen::Vector3d BeamDirection(const DriveModel& model, int ring, double azimuth_rad) {
+  const double elevation_rad = geometry::RadFromDeg(-35.0 + 70.0 * ring / (model.rings - 1));
+  return {std::cos(elevation_rad) * std::cos(azimuth_rad),
+          std::cos(elevation_rad) * std::sin(azimuth_rad), std::sin(elevation_rad)};
+}
+
+Eigen::Vector3f Beam(const World& world, const DriveModel& model, const Pose2& map_from_base,
+                     int ring, int column, std::mt19937& random) {
+  std::normal_distribution<double> noise(0.0, 1.0);
+  const Eigen::Vector3d direction = BeamDirection(model, ring, 2 * kPi * column / model.columns);
+  const Eigen::Isometry3d map_from_lidar = map_from_base.ToIsometry() * model.base_from_lidar;
+  const double range_m =
+      world(map_from_lidar.translation(), map_from_lidar.linear() * direction) +
+      (model.range_noise_m > 0.0 ? model.range_noise_m * noise(random) : 0.0);
+  return (range_m * direction).cast<float>();
+}
+
+}  // namespace
+
+BoxRoom BoxRoom::WithFurniture() {
+  return BoxRoom({8.0, 6.0, 2.5}, {{{3.0, 2.4, 0.0}, {5.0, 3.6, 0.8}},
+                                   {{0.0, 0.0, 0.0}, {0.6, 2.0, 1.8}},
+                                   {{6.5, 5.2, 0.0}, {8.0, 6.0, 1.1}}});
+}
+
+double BoxRoom::operator()(const Eigen::Vector3d& origin,
+                           const Eigen::Vector3d& direction) const {
+  double nearest = std::numeric_limits<double>::infinity();
+  for (int axis = 0; axis < 3; ++axis) {
+    if (direction[axis] == 0.0) continue;
+    const double wall = direction[axis] > 0.0 ? room_.max[axis] : room_.min[axis];
+    nearest = std::min(nearest, (wall - origin[axis]) / direction[axis]);
+  }
+  for (const Box& box : obstacles_) {
+    double enter = 0.0;
+    double leave = std::numeric_limits<double>::infinity();
+    for (int axis = 0; axis < 3; ++axis) {
+      if (direction[axis] == 0.0) {
+        if (origin[axis] < box.min[axis] || origin[axis] > box.max[axis]) leave = -1.0;
+        continue;
+      }
+      const double a = (box.min[axis] - origin[axis]) / direction[axis];
+      const double b = (box.max[axis] - origin[axis]) / direction[axis];
+      enter = std::max(enter, std::min(a, b));
+      leave = std::min(leave, std::max(a, b));
+    }
+    if (enter < leave) nearest = std::min(nearest, enter);
+  }
+  return nearest;
+}
+
+double BoxRoom::SignedDistance(const Eigen::Vector3d& point) const {
+  double distance = -BoxDistance(room_, point);
+  for (const Box& box : obstacles_) distance = std::min(distance, BoxDistance(box, point));
+  return distance;
+}
+
+Pose2 DriveModel::MapFromBase(double time_s) const {
+  // Counter-clockwise on an ellipse, looking ahead.
+  const double phase = 2 * kPi * time_s / lap_s;
+  return {centre.x() + radius.x() * std::cos(phase), centre.y() + radius.y() * std::sin(phase),
+          std::atan2(radius.y() * std::cos(phase), -radius.x() * std::sin(phase))};
+}
+
+frames::Calibration DriveModel::Calibration() const {
+  frames::Calibration calibration;
+  calibration.base_from_lidar = base_from_lidar;
+  calibration.base_from_laser = Eigen::Translation3d(0.2, 0.0, 0.3);
+  return calibration;
+}
+
+std::vector<frames::Frame> SimulateDrive(const World& world, const DriveModel& model,
+                                         unsigned seed) {
+  std::mt19937 random(seed);
+  std::vector<frames::Frame> drive;
+  Pose2 odom_from_base;
+  double next_lidar_s = 0.2;
+  for (double time_s = 0.0; time_s <= model.duration_s; time_s += 0.05) {
+    if (time_s > 0.0) {
+      Pose2 step = model.MapFromBase(time_s - 0.05).Inverse() * model.MapFromBase(time_s);
+      step.x_m *= model.odometry_scale;
+      step.y_m *= model.odometry_scale;
+      step.yaw_rad *= model.odometry_yaw_scale;
+      odom_from_base = odom_from_base * step;
+    }
+    drive.emplace_back(
+        frames::Odometry{kDriveStart_ns + std::llround(time_s * 1e9), odom_from_base});
+    if (time_s < next_lidar_s || time_s + model.lidar_period_s > model.duration_s) continue;
+    frames::LidarScan scan;
+    scan.stamp_ns = kDriveStart_ns + std::llround(time_s * 1e9);
+    for (int column = 0; column < model.columns; ++column) {
+      const double offset_s =
+          model.swept ? model.lidar_period_s * column / model.columns : 0.0;
+      for (int ring = 0; ring < model.rings; ++ring) {
+        const Eigen::Vector3f point =
+            Beam(world, model, model.MapFromBase(time_s + offset_s), ring, column, random);
+        if (!point.allFinite()) continue;
+        scan.point_in_lidar.push_back(point);
+        if (model.swept) {
+          scan.time_offset_ns.push_back(static_cast<std::uint32_t>(offset_s * 1e9));
+        }
+      }
+    }
+    drive.emplace_back(std::move(scan));
+    next_lidar_s += model.lidar_period_s;
+  }
+  return drive;
+}
+
+std::vector<Eigen::Vector3f> ScanInBase(const World& world, const DriveModel& model,
+                                        const Pose2& map_from_base, std::mt19937& random) {
+  std::vector<Eigen::Vector3f> point_in_base;
+  for (int column = 0; column < model.columns; ++column) {
+    for (int ring = 0; ring < model.rings; ++ring) {
+      point_in_base.push_back(model.base_from_lidar.cast<float>() *
+                              Beam(world, model, map_from_base, ring, column, random));
+    }
+  }
+  return point_in_base;
+}
+
+}  // namespace soundmap::mapping

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <functional>
+#include <random>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include "frames/frames.h"
+#include "mapping/mapper.h"
+
+namespace soundmap::mapping {
+
+struct Box {
+  Eigen::Vector3d min, max;
+};
+
+// A room from the origin with boxes in it, and exact rays in it: the oracle of what a LIDAR sees and where surfaces are.
+class BoxRoom {
+ public:
+  BoxRoom(const Eigen::Vector3d& size, std::vector<Box> obstacles)
+      : room_{Eigen::Vector3d::Zero(), size}, obstacles_(std::move(obstacles)) {}
+
+  static BoxRoom WithFurniture();
+
+  // Distance to the first surface.
+  double operator()(const Eigen::Vector3d& origin, const Eigen::Vector3d& direction) const;
+  // To the nearest surface; negative outside the air (in a wall or in furniture).
+  double SignedDistance(const Eigen::Vector3d& point) const;
+
+ private:
+  Box room_;
+  std::vector<Box> obstacles_;
+};
+
+// A robot's drive around the room and its sensors, seen exactly or with errors.
+struct DriveModel {
+  double duration_s = 40.0;
+  double lap_s = 40.0;
+  Eigen::Vector2d centre{4.0, 3.0};
+  Eigen::Vector2d radius{2.4, 1.6};
+  double lidar_period_s = 0.5;
+  bool swept = true;  // each turn takes the whole period
+  int rings = 24;
+  int columns = 240;
+  double range_noise_m = 0.0;
+  // Odometry: part of the way and of the turn that is lost.
+  double odometry_scale = 1.0;
+  double odometry_yaw_scale = 1.0;
+  Eigen::Isometry3d base_from_lidar =
+      Eigen::Translation3d(0.1, 0.05, 1.2) * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitZ());
+
+  // Truth, at seconds from the start.
+  geometry::Pose2 MapFromBase(double time_s) const;
+  frames::Calibration Calibration() const;
+};
+
+inline constexpr frames::TimeNs kDriveStart_ns = 1'700'000'000'000'000'000;
+
+// Distance from a place in `map` along a direction to what a LIDAR sees there; infinite: no return.
+using World = std::function<double(const Eigen::Vector3d&, const Eigen::Vector3d&)>;
+
+std::vector<frames::Frame> SimulateDrive(const World& world, const DriveModel& model,
+                                         unsigned seed);
+
+// One instantaneous scan in base_link.
+std::vector<Eigen::Vector3f> ScanInBase(const World& world, const DriveModel& model,
+                                        const geometry::Pose2& map_from_base, std::mt19937& random);
+
+}  // namespace soundmap::mapping

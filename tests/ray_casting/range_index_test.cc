@@ -1,0 +1,153 @@
+#include "ray_casting/range_index.h"
+
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include "geometry/angles.h"
+#include "geometry/directions.h"
+
+namespace soundmap::ray_casting {
+namespace {
+
+using geometry::RadFromDeg;
+
+Eigen::Vector3d RandomDirection(std::mt19937_64& random) {
+  std::normal_distribution<double> normal;
+  return Eigen::Vector3d(normal(random), normal(random), normal(random)).normalized();
+}
+
+// Section V as written, but with v_L from O_a to M_j.
+std::optional<RangeIndex::Hit> BruteForce(const std::vector<Eigen::Vector3f>& points,
+                                          const Eigen::Vector3d& origin, double max_angle_rad,
+                                          const Eigen::Vector3d& v_a) {
+  double least = std::numeric_limits<double>::infinity();
+  std::optional<RangeIndex::Hit> best;
+  for (std::size_t j = 0; j < points.size(); ++j) {
+    const double x = points[j].x() - origin.x();
+    const double y = points[j].y() - origin.y();
+    const double z = points[j].z() - origin.z();
+    const double range_m = std::sqrt(x * x + y * y + z * z);
+    if (!std::isfinite(range_m) || range_m == 0.0) continue;
+    const double cost =
+        1.0 - (x / range_m * v_a.x() + y / range_m * v_a.y() + z / range_m * v_a.z());
+    if (cost < least && cost < 1.0 - std::cos(max_angle_rad)) {
+      least = cost;
+      best = {static_cast<int>(j), range_m};
+    }
+  }
+  return best;
+}
+
+void ExpectAsBruteForce(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& origin,
+                        double max_angle_deg, const std::vector<Eigen::Vector3d>& directions) {
+  const double max_angle_rad = RadFromDeg(max_angle_deg);
+  const RangeIndex index(points, origin, max_angle_rad);
+  int hits = 0;
+  for (const Eigen::Vector3d& direction : directions) {
+    const auto expected = BruteForce(points, origin, max_angle_rad, direction);
+    const auto found = index.Nearest(direction);
+    ASSERT_EQ(found.has_value(), expected.has_value()) << direction.transpose();
+    if (!found) continue;
+    ++hits;
+    ASSERT_EQ(found->point, expected->point) << direction.transpose();
+    ASSERT_NEAR(found->range_m, expected->range_m, 1e-6 * expected->range_m);
+  }
+  EXPECT_GT(hits, 0);
+}
+
+std::vector<Eigen::Vector3d> Directions(std::mt19937_64& random, int count) {
+  std::vector<Eigen::Vector3d> directions = {
+      Eigen::Vector3d::UnitX(),  Eigen::Vector3d::UnitY(),  Eigen::Vector3d::UnitZ(),
+      -Eigen::Vector3d::UnitX(), -Eigen::Vector3d::UnitY(), -Eigen::Vector3d::UnitZ()};
+  while (static_cast<int>(directions.size()) < count) directions.push_back(RandomDirection(random));
+  return directions;
+}
+
+TEST(RangeIndex, FindsWhatBruteForceFindsInARandomCloud) {
+  std::mt19937_64 random(1);
+  std::uniform_real_distribution<float> uniform(-8.0f, 8.0f);
+  for (const int count : {1, 10, 300, 5000}) {
+    std::vector<Eigen::Vector3f> points;
+    for (int i = 0; i < count; ++i) {
+      points.emplace_back(uniform(random), uniform(random), uniform(random));
+    }
+    const Eigen::Vector3d origin(0.3, -0.2, 0.9);
+    auto directions = Directions(random, 500);
+    for (int i = 0; i < count; i += 1 + count / 50) {
+      directions.push_back(
+          (points[i].cast<double>() - origin + 0.02 * RandomDirection(random)).normalized());
+    }
+    for (const double max_angle_deg : {0.3, 3.0, 20.0}) {
+      ExpectAsBruteForce(points, origin, max_angle_deg, directions);
+    }
+  }
+}
+
+TEST(RangeIndex, FindsWhatBruteForceFindsAmongRingsAndClusters) {
+  std::mt19937_64 random(2);
+  std::normal_distribution<float> normal(0.0f, 0.02f);
+  std::vector<Eigen::Vector3f> points;
+  for (int ring = -20; ring < 20; ++ring) {
+    for (int beam = 0; beam < 180; ++beam) {
+      points.push_back((3.0 * geometry::DirectionFromAngles(RadFromDeg(2.0 * beam),
+                                                            RadFromDeg(2.3 * ring)))
+                           .cast<float>());
+    }
+  }
+  const Eigen::Vector3f heart(1.0f, 2.0f, 1.5f);
+  for (int i = 0; i < 2000; ++i) {
+    points.push_back(heart + Eigen::Vector3f(normal(random), normal(random), normal(random)));
+  }
+  auto directions = Directions(random, 1500);
+  const Eigen::Vector3d origin(0.1, 0.0, 0.8);
+  for (int i = 0; i < 500; ++i) {
+    directions.push_back((heart.cast<double>() - origin + 0.05 * RandomDirection(random)).normalized());
+  }
+  ExpectAsBruteForce(points, origin, 3.0, directions);
+}
+
+TEST(RangeIndex, OfEqualPointsTheFirstWins) {
+  const Eigen::Vector3f point(2.0f, 1.0f, 0.5f);
+  std::vector<Eigen::Vector3f> points(50, Eigen::Vector3f(-1.0f, -1.0f, 0.0f));
+  for (const int i : {7, 8, 30, 49}) points[i] = point;
+  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
+  const auto hit = index.Nearest(point.cast<double>().normalized());
+  ASSERT_TRUE(hit.has_value());
+  EXPECT_EQ(hit->point, 7);
+}
+
+// Two points in one direction, one behind the other: only the order counts, not the range.
+TEST(RangeIndex, RangeIsNoReasonToPreferAPoint) {
+  const std::vector<Eigen::Vector3f> points = {{8.0f, 0.0f, 0.0f}, {2.0f, 0.0f, 0.0f}};
+  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
+  EXPECT_EQ(index.Nearest(Eigen::Vector3d::UnitX())->point, 0);
+  EXPECT_DOUBLE_EQ(index.Nearest(Eigen::Vector3d::UnitX())->range_m, 8.0);
+}
+
+TEST(RangeIndex, NothingBeyondTheAngle) {
+  const std::vector<Eigen::Vector3f> points = {{1.0f, 0.0f, 0.0f}};
+  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
+  EXPECT_TRUE(index.Nearest(geometry::DirectionFromAngles(RadFromDeg(2.99), 0.0)).has_value());
+  EXPECT_FALSE(index.Nearest(geometry::DirectionFromAngles(RadFromDeg(3.01), 0.0)).has_value());
+  EXPECT_FALSE(index.Nearest(-Eigen::Vector3d::UnitX()).has_value());
+}
+
+TEST(RangeIndex, HostilePointsAreNeverFound) {
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  constexpr float kInf = std::numeric_limits<float>::infinity();
+  const std::vector<Eigen::Vector3f> points = {{kNan, 0, 0}, {kInf, 0, 0},   {0, -kInf, kNan},
+                                               {0, 0, 0},    {3e38f, 0, 0}, {1e-30f, 0, 0}};
+  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
+  EXPECT_EQ(index.Nearest(Eigen::Vector3d::UnitX())->point, 4);
+  EXPECT_FALSE(index.Nearest(-Eigen::Vector3d::UnitY()).has_value());
+  EXPECT_FALSE(index.Nearest(Eigen::Vector3d(kNan, 0, 0)).has_value());
+
+  const RangeIndex empty({}, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
+  EXPECT_FALSE(empty.Nearest(Eigen::Vector3d::UnitX()).has_value());
+}
+
+}  // namespace
+}  // namespace soundmap::ray_casting
