@@ -37,13 +37,10 @@ absl::Status ServerConfig::ReadFile(const std::string& path) {
     what << parsed.error();
     return absl::InvalidArgumentError(absl::StrCat("the configuration file: ", what.str()));
   }
-  const std::map<std::string, std::string*> texts = {{"data_dir", &data_dir},
-                                                     {"grpc", &grpc_address},
-                                                     {"http", &http_address},
-                                                     {"tls_cert", &tls.certificate},
-                                                     {"tls_key", &tls.key},
-                                                     {"tls_client_ca", &tls.client_ca},
-                                                     {"log_level", &log_level}};
+  const std::map<std::string, std::string*> texts = {
+      {"data_dir", &data_dir},        {"grpc", &grpc_address}, {"http", &http_address},
+      {"tls_cert", &tls.certificate}, {"tls_key", &tls.key},   {"tls_client_ca", &tls.client_ca},
+      {"log_level", &log_level}};
   for (auto&& [key, node] : parsed.table()) {
     const std::string name(key.str());
     bool taken = false;
@@ -76,8 +73,8 @@ absl::Status ServerConfig::ReadFile(const std::string& path) {
         text << parameters;
         auto profile = pipeline::ProfileFromToml(text.str());
         if (!profile.ok()) {
-          return absl::InvalidArgumentError(absl::StrCat(
-              path, ": profiles.", profile_name, ": ", std::string(profile.status().message())));
+          return absl::InvalidArgumentError(absl::StrCat(path, ": profiles.", profile_name, ": ",
+                                                         std::string(profile.status().message())));
         }
         profiles[profile_name] = *std::move(profile);
       }

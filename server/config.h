@@ -21,8 +21,9 @@ struct ServerConfig {
   // By name; sites keep the parameters that they were created with.
   std::map<std::string, pipeline::Profile> profiles;
 
-  // Sets what the TOML file says: top-level keys named as the flags with '_' for '-', and tables [profiles.NAME.SECTION] with parameters that differ from
-  // the profile's own. NotFound; InvalidArgument, naming the key.
+  // Sets what the TOML file says: top-level keys named as the flags with '_' for '-', and tables
+  // [profiles.NAME.SECTION] with parameters that differ from the profile's own. NotFound;
+  // InvalidArgument, naming the key.
   absl::Status ReadFile(const std::string& path);
 
   // InvalidArgument with a sentence that names the setting.

@@ -1,16 +1,16 @@
-#include <chrono>
-#include <csignal>
-#include <future>
-#include <iostream>
-#include <random>
-#include <thread>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
 #include <boost/asio/signal_set.hpp>
 #include <boost/asio/thread_pool.hpp>
+#include <chrono>
+#include <csignal>
+#include <future>
+#include <iostream>
 #include <nlohmann/json.hpp>
-#include <spdlog/sinks/stdout_color_sinks.h>
-#include <spdlog/spdlog.h>
+#include <random>
+#include <thread>
 
 #include "absl/strings/str_cat.h"
 #include "api/decode_frame.h"
@@ -101,21 +101,35 @@ absl::Status Serve(const ServerConfig& config) {
 int Main(int argc, char** argv) {
   ServerConfig config = DefaultServerConfig();
   std::string config_path;
-  CLI::App app("The sound map server: robots stream their sensors to it, apps ask it where the sound sources are.", "soundmap-server");
+  CLI::App app(
+      "The sound map server: robots stream their sensors to it, apps ask it where the sound "
+      "sources are.",
+      "soundmap-server");
   // Flags are read into a configuration of their own first, since the file stands below them.
   ServerConfig flags;
-  app.add_option("--config", config_path, "TOML file with these settings and the profiles' parameters");
+  app.add_option("--config", config_path,
+                 "TOML file with these settings and the profiles' parameters");
   auto* data_dir = app.add_option("--data-dir", flags.data_dir, "folder of the embedded store");
-  auto* grpc = app.add_option("--grpc", flags.grpc_address, "gRPC address, HOST:PORT; port 0 for any")->capture_default_str();
-  auto* http = app.add_option("--http", flags.http_address, "HTTP address, HOST:PORT; port 0 for any")->capture_default_str();
+  auto* grpc =
+      app.add_option("--grpc", flags.grpc_address, "gRPC address, HOST:PORT; port 0 for any")
+          ->capture_default_str();
+  auto* http =
+      app.add_option("--http", flags.http_address, "HTTP address, HOST:PORT; port 0 for any")
+          ->capture_default_str();
   auto* cert = app.add_option("--tls-cert", flags.tls.certificate, "the server's certificate, PEM");
   auto* key = app.add_option("--tls-key", flags.tls.key, "its private key, PEM");
-  auto* client_ca = app.add_option("--tls-client-ca", flags.tls.client_ca, "who signs the clients' certificates, PEM");
-  auto* insecure = app.add_flag("--insecure", flags.insecure, "allow plain text beyond the loopback interface");
-  auto* threads = app.add_option("--threads", flags.threads, "threads of the pipeline; 0: one a core");
-  auto* log_level = app.add_option("--log-level", flags.log_level, "trace, debug, info, warning, error")->capture_default_str();
+  auto* client_ca = app.add_option("--tls-client-ca", flags.tls.client_ca,
+                                   "who signs the clients' certificates, PEM");
+  auto* insecure =
+      app.add_flag("--insecure", flags.insecure, "allow plain text beyond the loopback interface");
+  auto* threads =
+      app.add_option("--threads", flags.threads, "threads of the pipeline; 0: one a core");
+  auto* log_level =
+      app.add_option("--log-level", flags.log_level, "trace, debug, info, warning, error")
+          ->capture_default_str();
   std::string print_profile;
-  app.add_option("--print-profile", print_profile, "print the parameters of a profile as TOML, and end");
+  app.add_option("--print-profile", print_profile,
+                 "print the parameters of a profile as TOML, and end");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

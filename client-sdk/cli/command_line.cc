@@ -28,10 +28,10 @@ absl::StatusOr<Client> CommandLine::Connect() const {
   if (!tls_ca.empty()) {
     auto pem = ReadTextFile(tls_ca, kMaxCertificateBytes);
     if (!pem.ok()) return pem.status();
-    options.tls_ca_pem = *std::move(pem);
-    if (options.tls_ca_pem.find("BEGIN CERTIFICATE") == std::string::npos) {
+    if (pem->empty() || !Client::Connect({.tls_ca_pem = *pem}).ok()) {
       return absl::InvalidArgumentError(tls_ca + " holds no certificate in PEM form");
     }
+    options.tls_ca_pem = *std::move(pem);
   }
   return Client::Connect(options);
 }

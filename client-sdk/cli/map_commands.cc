@@ -1,4 +1,5 @@
 #include <iostream>
+#include <limits>
 #include <memory>
 
 #include "absl/strings/str_cat.h"
@@ -115,7 +116,7 @@ void AddMapCommands(CLI::App& app, CommandLine& line) {
   command
       ->add_option("--min-updates", export_->request.min_updates,
                    "only voxels with more updates (the paper's epsilon_C)")
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
   command->add_option("-o,--output", export_->file, "file to write")->required();
   RunWithClient(*command, line, [export_](Client& client) { return Export(client, *export_); });
 }

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <chrono>
 #include <iostream>
+#include <limits>
 #include <memory>
 #include <numeric>
 #include <tuple>
@@ -168,7 +169,7 @@ void AddSoundCommands(CLI::App& app, CommandLine& line) {
   command
       ->add_option("--min-updates", voxels->query.min_updates,
                    "only voxels with more updates (the paper's epsilon_C)")
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
   command
       ->add_option("--min-probability", voxels->query.min_probability,
                    "only voxels at least as sure")

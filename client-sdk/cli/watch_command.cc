@@ -1,4 +1,5 @@
 #include <iostream>
+#include <limits>
 #include <memory>
 
 #include "cli/command_line.h"
@@ -41,7 +42,7 @@ void AddWatchCommand(CLI::App& app, CommandLine& line) {
   command->add_option("--resume", arguments->request.resume_token,
                       "go on after the event with this resume_token");
   command->add_option("--count", arguments->count, "end after so many events")
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(1, std::numeric_limits<int>::max()));
   RunWithClient(*command, line, [arguments](Client& client) { return Watch(client, *arguments); });
 }
 

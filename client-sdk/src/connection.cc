@@ -1,5 +1,10 @@
 #include "connection.h"
 
+#include <openssl/bio.h>
+#include <openssl/pem.h>
+#include <openssl/x509.h>
+
+#include <memory>
 #include <thread>
 
 #include "absl/strings/ascii.h"
@@ -23,6 +28,15 @@ bool IsHostAndPort(const std::string& server) {
 bool IsLoopback(const std::string& server) {
   return absl::StartsWith(server, "127.") || absl::StartsWith(server, "localhost:") ||
          absl::StartsWith(server, "[::1]:");
+}
+
+// gRPC takes anything here and fails at each call.
+bool HoldsCertificate(const std::string& pem) {
+  const std::unique_ptr<BIO, decltype(&BIO_free)> text(
+      BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size())), BIO_free);
+  const std::unique_ptr<X509, decltype(&X509_free)> certificate(
+      PEM_read_bio_X509(text.get(), nullptr, nullptr, nullptr), X509_free);
+  return certificate != nullptr;
 }
 
 grpc::ChannelArguments Arguments(const ClientOptions& options) {
@@ -85,6 +99,9 @@ absl::StatusOr<Client> Client::Connect(const ClientOptions& options) {
   }
   std::shared_ptr<grpc::ChannelCredentials> credentials;
   if (!options.tls_ca_pem.empty()) {
+    if (!HoldsCertificate(options.tls_ca_pem)) {
+      return absl::InvalidArgumentError("tls_ca_pem holds no certificate in PEM form");
+    }
     grpc::SslCredentialsOptions ssl;
     ssl.pem_root_certs = options.tls_ca_pem;
     credentials = grpc::SslCredentials(ssl);

@@ -9,7 +9,8 @@ namespace {
 // gRPC 1.51's own words for a broken transport; none of them is a sentence for a reader.
 std::string TransportSentence(const std::string& message, const std::string& server) {
   using absl::StrContains;
-  if (StrContains(message, "DNS resolution failed") || StrContains(message, "C-ares status")) {
+  if (StrContains(message, "DNS resolution failed") || StrContains(message, "C-ares status") ||
+      StrContains(message, "empty address list")) {
     return absl::StrCat("the host name of the server ", server, " cannot be resolved");
   }
   if (StrContains(message, "Ssl handshake") || StrContains(message, "SSL_ERROR") ||

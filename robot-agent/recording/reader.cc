@@ -20,8 +20,26 @@ constexpr std::size_t kSkipBytes = 1 << 16;
 constexpr std::int64_t kChunkFieldBytes = 1 << 12;  // more than a chunk's own fields take
 constexpr std::size_t kMaxNameBytes = 1024;
 
+// A record of this opcode, as the sentences call it.
 std::string Kind(std::uint8_t opcode) {
-  return absl::StrCat("0x", absl::Hex(opcode, absl::kZeroPad2));
+  switch (static_cast<Opcode>(opcode)) {
+    case Opcode::kSchema:
+      return "a schema";
+    case Opcode::kChannel:
+      return "a channel";
+    case Opcode::kMessage:
+      return "a message";
+    case Opcode::kChunk:
+      return "a chunk";
+    case Opcode::kMessageIndex:
+      return "a message index";
+    case Opcode::kAttachment:
+      return "an attachment";
+    case Opcode::kFooter:
+      return "a footer";
+    default:
+      return absl::StrCat("a record of kind 0x", absl::Hex(opcode, absl::kZeroPad2));
+  }
 }
 
 }  // namespace
@@ -90,7 +108,7 @@ absl::StatusOr<std::optional<Message>> Reader::NextInChunk() {
       return ParseMessage(content);
     default:
       if (opcode > static_cast<std::uint8_t>(Opcode::kDataEnd)) return std::nullopt;
-      return Damage(absl::StrCat("a record of kind ", Kind(opcode), " stands in this chunk"));
+      return Damage(absl::StrCat(Kind(opcode), " stands in this chunk"));
   }
 }
 
@@ -107,8 +125,8 @@ absl::StatusOr<std::optional<Message>> Reader::NextInFile() {
   const auto opcode = static_cast<Opcode>(kind);
   const std::uint64_t content_bytes = fields.U64();
   if (content_bytes > static_cast<std::uint64_t>(size_bytes_ - position_bytes_)) {
-    return Damage(absl::StrCat("a record of kind ", Kind(kind), " and ", content_bytes,
-                               " bytes is cut off after ", size_bytes_ - position_bytes_));
+    return Damage(absl::StrCat(Kind(kind), " of ", content_bytes, " bytes is cut off after ",
+                               size_bytes_ - position_bytes_));
   }
 
   if (section_ == Section::kStart && opcode != Opcode::kHeader) {
@@ -166,7 +184,7 @@ absl::StatusOr<std::optional<Message>> Reader::NextInFile() {
     case Opcode::kStatistics:
     case Opcode::kMetadataIndex:
     case Opcode::kSummaryOffset:
-      return Damage(absl::StrCat("a record of kind ", Kind(kind), " stands among the data"));
+      return Damage(absl::StrCat(Kind(kind), " stands among the data"));
     default:
       if (kind == 0) return Damage("a record of kind 0x00");
       status = Skip(content_bytes);

@@ -31,9 +31,9 @@ void AddFile(const FileDescriptor& file, std::set<const FileDescriptor*>& done,
 std::optional<std::string> DescriptorSetOf(std::string_view schema) {
   for (const Descriptor* message :
        {foxglove::FrameTransforms::descriptor(), foxglove::KeyValuePair::descriptor(),
-        foxglove::LaserScan::descriptor(),
-        foxglove::Odometry::descriptor(), foxglove::PointCloud::descriptor(),
-        foxglove::PoseInFrame::descriptor(), foxglove::RawAudio::descriptor()}) {
+        foxglove::LaserScan::descriptor(), foxglove::Odometry::descriptor(),
+        foxglove::PointCloud::descriptor(), foxglove::PoseInFrame::descriptor(),
+        foxglove::RawAudio::descriptor()}) {
     if (message->full_name() != schema) continue;
     google::protobuf::FileDescriptorSet set;
     std::set<const FileDescriptor*> done;

@@ -181,7 +181,7 @@ absl::StatusOr<bool> Uploader::SendFrames(IngestStream& stream, sources::FrameSo
     state = stream.state();
   }
   if (state.ended) return false;
-  const v1::Limits& limits = state.welcome->limits();
+  const v1::Limits limits = state.welcome->limits();
   const std::int64_t chunk_bytes = limits.max_chunk_bytes() > 0
                                        ? std::min(limits.max_chunk_bytes(), kMaxChunkBytes)
                                        : kMaxChunkBytes;
@@ -300,7 +300,9 @@ absl::Status Uploader::FromServer(const grpc::Status& status) {
       std::string why;
       if (absl::StrContains(message, "Connection refused")) why = ": connection refused";
       if (absl::StrContains(message, "DNS resolution failed")) why = ": no such host";
-      if (absl::StrContains(message, "andshake")) why = ": the TLS handshake failed";
+      if (absl::StrContains(message, "Ssl handshake") || absl::StrContains(message, "SSL_ERROR")) {
+        why = ": the TLS handshake failed";
+      }
       return absl::UnavailableError(absl::StrCat("cannot reach the server ", options_.server, why));
     }
     default:

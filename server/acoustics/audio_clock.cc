@@ -22,11 +22,10 @@ double Median(std::vector<double>& values) {
 }  // namespace
 
 void AudioClock::Add(const Point& point) {
-  if (!points_.empty() &&
-      point.sample - points_.back().sample < kMinSpacing_s * sample_rate_hz_) {
+  if (!points_.empty() && point.sample - points_.back().sample < kMinSpacing_s * sample_rate_hz_) {
     return;
   }
-  if (points_.size() == kMaxPoints) points_.erase(points_.begin());
+  if (points_.size() >= kMaxPoints) points_.erase(points_.begin());
   points_.push_back(point);
   Fit();
 }
@@ -37,8 +36,8 @@ void AudioClock::Restore(std::vector<Point> points) {
 }
 
 frames::TimeNs AudioClock::TimeOf(std::int64_t sample) const {
-  const double elapsed_ns = static_cast<double>(sample - points_.front().sample) * 1e9 /
-                            sample_rate_hz_ * (1.0 + drift_);
+  const double elapsed_ns =
+      static_cast<double>(sample - points_.front().sample) * 1e9 / sample_rate_hz_ * (1.0 + drift_);
   return points_.front().stamp_ns + std::llround(elapsed_ns + offset_ns_);
 }
 
@@ -46,7 +45,8 @@ void AudioClock::Fit() {
   drift_ = 0.0;
   offset_ns_ = 0.0;
   if (points_.empty()) return;
-  // Of each point, from the first one: the time by samples, and by how much the stamp is ahead of it.
+  // Of each point, from the first one: the time by samples, and by how much the stamp is ahead of
+  // it.
   std::vector<double> elapsed_ns;
   std::vector<double> ahead_ns;
   for (const Point& point : points_) {

@@ -7,8 +7,9 @@
 
 namespace soundmap::acoustics {
 
-// Capture time of audio samples: a robust line fitted to (sample count, stamp) pairs. The device's clock may differ from the robot's by up
-// to 1000 ppm, stamps may jitter, single ones may be far off. One thread at a time. The state is the points, nothing else.
+// Capture time of audio samples: a robust line fitted to (sample count, stamp) pairs. The device's
+// clock may differ from the robot's by up to 1000 ppm, stamps may jitter, single ones may be far
+// off. One thread at a time. The state is the points, nothing else.
 class AudioClock {
  public:
   struct Point {
@@ -20,7 +21,8 @@ class AudioClock {
 
   explicit AudioClock(int sample_rate_hz) : sample_rate_hz_(sample_rate_hz) {}
 
-  // Samples in rising order. Pairs closer than 20 ms to the last one are left out; the oldest beyond 512 are forgotten.
+  // Samples in rising order. Pairs closer than 20 ms to the last one are left out; the oldest
+  // beyond 512 are forgotten.
   void Add(const Point& point);
   void Restart() { Restore({}); }
 

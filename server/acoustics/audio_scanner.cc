@@ -44,10 +44,9 @@ absl::StatusOr<std::unique_ptr<AudioScanner>> AudioScanner::Create(
 absl::StatusOr<std::vector<LikelihoodScan>> AudioScanner::Push(const frames::AudioBlock& block) {
   const int channels = srp_->microphones();
   if (block.channels != channels || block.sample_rate_hz != layout_.sample_rate_hz) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("an audio block has ", block.channels, " channels at ", block.sample_rate_hz,
-                     " Hz; the calibration has ", channels, " microphones at ",
-                     layout_.sample_rate_hz, " Hz"));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "an audio block has ", block.channels, " channels at ", block.sample_rate_hz,
+        " Hz; the calibration has ", channels, " microphones at ", layout_.sample_rate_hz, " Hz"));
   }
   if (block.samples.size() % channels != 0) {
     return absl::InvalidArgumentError(absl::StrCat("an audio block has ", block.samples.size(),
@@ -72,8 +71,7 @@ absl::StatusOr<std::vector<LikelihoodScan>> AudioScanner::Push(const frames::Aud
       lost.begin_ns =
           clock_.TimeOf(next_sample_ - static_cast<std::int64_t>(pending_.size()) / channels);
       lost.end_ns = clock_.TimeOf(next_sample_);
-      lost.fault =
-          absl::StrFormat("a gap of %.3f s in the audio", frames::SecondsFromNs(jump_ns));
+      lost.fault = absl::StrFormat("a gap of %.3f s in the audio", frames::SecondsFromNs(jump_ns));
       scans.push_back(std::move(lost));
       pending_.clear();
       clock_.Restart();
@@ -132,8 +130,10 @@ std::string AudioScanner::FaultIn(const std::int16_t* samples) const {
       longest[n] = std::max(longest[n], run[n]);
     }
   }
-  const auto still = static_cast<int>(std::count_if(
-      longest.begin(), longest.end(), [this](int length) { return length >= layout_.hop_samples(); }));
+  const auto still =
+      static_cast<int>(std::count_if(longest.begin(), longest.end(), [this](int length) {
+        return length >= layout_.hop_samples();
+      }));
   if (still == 0) return {};
   if (still == channels) return absl::StrCat("all ", channels, " microphones stand still");
   const int worst =
@@ -150,10 +150,10 @@ AudioScanner::State AudioScanner::state() const {
 
 absl::Status AudioScanner::Restore(State state) {
   const int channels = srp_->microphones();
-  const bool clock_runs = std::adjacent_find(state.clock.begin(), state.clock.end(),
-                                             [](const auto& a, const auto& b) {
-                                               return b.sample <= a.sample;
-                                             }) == state.clock.end();
+  const bool clock_runs =
+      std::adjacent_find(state.clock.begin(), state.clock.end(), [](const auto& a, const auto& b) {
+        return b.sample <= a.sample;
+      }) == state.clock.end();
   const bool stamps_valid =
       std::all_of(state.clock.begin(), state.clock.end(), [&](const AudioClock::Point& point) {
         return point.stamp_ns >= 0 && point.stamp_ns <= kMaxStamp_ns && point.sample >= 0 &&

@@ -16,29 +16,33 @@
 
 namespace soundmap::acoustics {
 
-// Sections III and IV for one robot: audio blocks in, likelihood scans out, one every K W/2 samples. The scans are a deterministic function
-// of the blocks; how samples are cut into blocks does not change their likelihoods. One thread at a time.
+// Sections III and IV for one robot: audio blocks in, likelihood scans out, one every K W/2
+// samples. The scans are a deterministic function of the blocks; how samples are cut into blocks
+// does not change their likelihoods. One thread at a time.
 class AudioScanner {
  public:
   // What the past leaves behind, all of it.
   struct State {
-    frames::TimeNs last_stamp_ns = 0;         // of the last block
-    std::int64_t next_sample = 0;             // count since the last gap: of the first sample to come
+    frames::TimeNs last_stamp_ns = 0;  // of the last block
+    std::int64_t next_sample = 0;      // count since the last gap: of the first sample to come
     std::vector<AudioClock::Point> clock;
-    std::vector<std::int16_t> pending;        // interleaved, not yet scanned; they end before next_sample
+    std::vector<std::int16_t> pending;  // interleaved, not yet scanned; they end before next_sample
 
     bool operator==(const State&) const = default;
   };
 
-  // InvalidArgument: what Calibration::Validate(), FrameLayout::Create() and SrpPhat::Create() refuse; a calibration without microphones.
+  // InvalidArgument: what Calibration::Validate(), FrameLayout::Create() and SrpPhat::Create()
+  // refuse; a calibration without microphones.
   static absl::StatusOr<std::unique_ptr<AudioScanner>> Create(
       const AcousticsConfig& config, const frames::Calibration& calibration);
 
-  // The scans that this block completes, in time order. A block that starts more than 20 ms after the end of the last one follows a gap:
-  // framing starts anew with it, and a scan with a fault tells what was left over. A scan in which a microphone stands still for W/2
-  // samples or more (dead, or dropped samples) has a fault too.
-  // InvalidArgument, and no change: another sample rate or number of channels than the calibration's, samples that do not fill the
-  // channels, a block that starts more than 20 ms before the end of the last one or before its stamp, a stamp outside 1970 .. 2116.
+  // The scans that this block completes, in time order. A block that starts more than 20 ms after
+  // the end of the last one follows a gap: framing starts anew with it, and a scan with a fault
+  // tells what was left over. A scan in which a microphone stands still for W/2 samples or more
+  // (dead, or dropped samples) has a fault too. InvalidArgument, and no change: another sample rate
+  // or number of channels than the calibration's, samples that do not fill the channels, a block
+  // that starts more than 20 ms before the end of the last one or before its stamp, a stamp outside
+  // 1970 .. 2116.
   absl::StatusOr<std::vector<LikelihoodScan>> Push(const frames::AudioBlock& block);
 
   State state() const;

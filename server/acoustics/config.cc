@@ -108,8 +108,7 @@ geometry::DirectionGrid AcousticsConfig::MakeGrid() const {
   return geometry::DirectionGrid::EqualArea(std::get<EqualAreaGrid>(grid).spacing_rad);
 }
 
-absl::StatusOr<FrameLayout> FrameLayout::Create(const AcousticsConfig& config,
-                                                int sample_rate_hz) {
+absl::StatusOr<FrameLayout> FrameLayout::Create(const AcousticsConfig& config, int sample_rate_hz) {
   absl::Status status = config.Validate();
   if (!status.ok()) return status;
   if (sample_rate_hz < 8000 || sample_rate_hz > 192000) {
@@ -129,24 +128,23 @@ absl::StatusOr<FrameLayout> FrameLayout::Create(const AcousticsConfig& config,
   // W is at most 2^16 and K at most 10^4, so the product fits in an int.
   if (layout.scan_samples() > kMaxScanDuration_s * sample_rate_hz) {
     return absl::InvalidArgumentError(absl::StrCat("an audio scan of ", config.frames_per_scan,
-                                                   " frames lasts longer than ",
-                                                   kMaxScanDuration_s, " s"));
+                                                   " frames lasts longer than ", kMaxScanDuration_s,
+                                                   " s"));
   }
   if (config.f_max_hz > sample_rate_hz / 2.0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("acoustics.f_max_hz is ", config.f_max_hz,
-                     "; audio sampled at ", sample_rate_hz, " Hz ends at ", sample_rate_hz / 2.0));
+    return absl::InvalidArgumentError(absl::StrCat("acoustics.f_max_hz is ", config.f_max_hz,
+                                                   "; audio sampled at ", sample_rate_hz,
+                                                   " Hz ends at ", sample_rate_hz / 2.0));
   }
   const double bins_per_hz = static_cast<double>(layout.window_samples) / sample_rate_hz;
   constexpr double kRounding = 1e-9;  // keeps a bin that lies on a limit
   layout.first_bin = static_cast<int>(std::ceil(config.f_min_hz * bins_per_hz - kRounding));
-  layout.bins =
-      static_cast<int>(std::floor(config.f_max_hz * bins_per_hz + kRounding)) - layout.first_bin + 1;
+  layout.bins = static_cast<int>(std::floor(config.f_max_hz * bins_per_hz + kRounding)) -
+                layout.first_bin + 1;
   if (layout.bins < 1) {
-    return absl::InvalidArgumentError(absl::StrCat("no frequency bin lies in the band from ",
-                                                   config.f_min_hz, " to ", config.f_max_hz,
-                                                   " Hz: the bins are ", 1.0 / bins_per_hz,
-                                                   " Hz apart"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("no frequency bin lies in the band from ", config.f_min_hz, " to ",
+                     config.f_max_hz, " Hz: the bins are ", 1.0 / bins_per_hz, " Hz apart"));
   }
   return layout;
 }

@@ -24,7 +24,8 @@ struct SectorGrid {
   double step_rad = geometry::RadFromDeg(1.0);
 };
 
-// Eq. (6) with the values of section VI. T1 and T2 are absolute powers, so they depend on the number of bins in the band.
+// Eq. (6) with the values of section VI. T1 and T2 are absolute powers, so they depend on the
+// number of bins in the band.
 struct DoubleThreshold {
   double t1 = 20.0;
   double t2 = 30.0;
@@ -33,11 +34,13 @@ struct DoubleThreshold {
   double p_max = 0.999;  // section IV has 0.9
 };
 
-// Deviation from eq. (6): only peaks of the power speak for a source. The noise floor is the median of S over the directions, its spread
-// the standard deviation of the normal distribution with the same distance from the lower quartile to the median; both of the power that
-// is left when the peak at hand is taken off, so that the side lobes of a strong source do not hide weak ones. (6.5 of these spreads find
-// as much in `grill_room` as 4 spreads of the whole power.) The incoherent spread is what noise that is independent at each microphone
-// leaves by theory; it decides where nothing is to be heard: white noise then gives a peak in less than 1 scan of 500.
+// Deviation from eq. (6): only peaks of the power speak for a source. The noise floor is the median
+// of S over the directions, its spread the standard deviation of the normal distribution with the
+// same distance from the lower quartile to the median; both of the power that is left when the peak
+// at hand is taken off, so that the side lobes of a strong source do not hide weak ones. (6.5 of
+// these spreads find as much in `grill_room` as 4 spreads of the whole power.) The incoherent
+// spread is what noise that is independent at each microphone leaves by theory; it decides where
+// nothing is to be heard: white noise then gives a peak in less than 1 scan of 500.
 struct PeakEvidence {
   double threshold_spreads = 6.5;             // a peak stands this many spreads above the floor
   double threshold_incoherent_spreads = 5.0;  // and this many incoherent spreads
@@ -54,7 +57,8 @@ struct AcousticsConfig {
   static AcousticsConfig Default() { return {}; }
   static AcousticsConfig Paper();
 
-  double window_s = 0.025;  // W over the sample rate, rounded to an even number of samples: 400 at 16 kHz
+  double window_s =
+      0.025;  // W over the sample rate, rounded to an even number of samples: 400 at 16 kHz
   std::optional<int> window_samples;  // W itself, at any rate, in place of window_s; even
   int frames_per_scan = 10;           // K
   double f_min_hz = 1000.0;           // eq. (5), inclusive
@@ -82,7 +86,8 @@ struct FrameLayout {
     return static_cast<double>(first_bin + b) * sample_rate_hz / window_samples;
   }
 
-  // InvalidArgument: an invalid configuration, a sample rate outside 8 to 192 kHz, no bin in the band, a band above half the sample rate.
+  // InvalidArgument: an invalid configuration, a sample rate outside 8 to 192 kHz, no bin in the
+  // band, a band above half the sample rate.
   static absl::StatusOr<FrameLayout> Create(const AcousticsConfig& config, int sample_rate_hz);
 };
 

@@ -1,11 +1,10 @@
 #include "acoustics/evidence.h"
 
+#include <Eigen/Geometry>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <functional>
-
-#include <Eigen/Geometry>
-#include <Eigen/LU>
 
 namespace soundmap::acoustics {
 namespace {
@@ -118,11 +117,11 @@ Peaks FindPeaks(const SrpPhat& srp, const AudioScan& scan, const PeakEvidence& e
     if (!(*largest > background.floor + least_height)) break;
     const Eigen::Vector3d& start = grid[static_cast<int>(largest - residual.begin())];
     Eigen::Vector3d direction =
-        ClimbToMaximum(start, grid.spacing_rad(), [&](const Eigen::Vector3d& u) {
-          return ResidualAt(srp, scan, removed, u);
-        });
+        ClimbToMaximum(start, grid.spacing_rad(),
+                       [&](const Eigen::Vector3d& u) { return ResidualAt(srp, scan, removed, u); });
     const double power = std::max<double>(*largest, ResidualAt(srp, scan, removed, direction));
-    // What is not a plane wave has the power of incoherent noise or more. The median can lie below, among the side lobes of the peak.
+    // What is not a plane wave has the power of incoherent noise or more. The median can lie below,
+    // among the side lobes of the peak.
     const double gain =
         (power - std::max(background.floor, incoherent)) / (srp.band_bins() - incoherent);
     const auto offset = static_cast<float>(incoherent);
@@ -138,7 +137,8 @@ Peaks FindPeaks(const SrpPhat& srp, const AudioScan& scan, const PeakEvidence& e
     const bool moved_off = start.dot(direction) < std::cos(grid.spacing_rad());
     if (moved_off && !Covers(grid, direction)) continue;
     if (srp.array_rank() == 2) {
-      // Both images are equally true; one side is reported, so that a source does not jump between them.
+      // Both images are equally true; one side is reported, so that a source does not jump between
+      // them.
       const Eigen::Vector3d image = srp.Distinguishable(direction);
       if (Covers(grid, image)) direction = image;
     }

@@ -20,9 +20,10 @@ struct Peaks {
   std::vector<Peak> peaks;
 };
 
-// Peak removal with the known beam: the largest power above the threshold is a source; a plane wave's response from there, scaled to
-// bring it down to the noise floor, is taken off; and so on. Directions are refined between those of the grid. A source outside the grid
-// is taken off, but not reported.
+// Peak removal with the known beam: the largest power above the threshold is a source; a plane
+// wave's response from there, scaled to bring it down to the noise floor, is taken off; and so on.
+// Directions are refined between those of the grid. A source outside the grid is taken off, but not
+// reported.
 Peaks FindPeaks(const SrpPhat& srp, const AudioScan& scan, const PeakEvidence& evidence);
 
 // Directions that the array cannot tell from a peak count as that peak.

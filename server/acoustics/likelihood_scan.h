@@ -1,9 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <string>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "frames/frames.h"
 
@@ -12,14 +11,16 @@ namespace soundmap::acoustics {
 // A local maximum of the power of one audio scan.
 struct Peak {
   Eigen::Vector3d direction_in_array = Eigen::Vector3d::UnitX();  // unit vector, array to source
-  double power = 0.0;                                             // S of eq. (5)
+  double power = 0.0;  // S of eq. (5), less the responses of the peaks found before
 };
 
-// The result of section IV for one audio scan: the likelihood of a sound source in each candidate direction.
+// The result of section IV for one audio scan: the likelihood of a sound source in each candidate
+// direction.
 struct LikelihoodScan {
   frames::TimeNs begin_ns = 0;  // first sample
   frames::TimeNs end_ns = 0;    // after the last sample
-  // Empty: usable. Otherwise why this scan says nothing (a dead microphone, a gap), and `likelihood` is empty.
+  // Empty: usable. Otherwise why this scan says nothing (a dead microphone, a gap), and
+  // `likelihood` is empty.
   std::string fault;
   std::vector<float> likelihood;  // L(theta_i, phi_i, k), in the order of the grid
   double noise_floor = 0.0;       // of S; 0 where the profile does not estimate it

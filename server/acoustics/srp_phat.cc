@@ -1,12 +1,11 @@
 #include "acoustics/srp_phat.h"
 
+#include <Eigen/Dense>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <complex>
 #include <cstring>
-
-#include <Eigen/Dense>
 
 #include "absl/strings/str_cat.h"
 #include "geometry/angles.h"
@@ -21,11 +20,12 @@ constexpr int kTapsBefore = kTaps / 2 - 1;
 constexpr int kTileDirections = 512;
 constexpr double kFinePerLag = 65536.0;
 constexpr int kMaxIntervals = 32000;  // positions fit in 31 bits
-constexpr int kResponseShift = 11;  // 2^(16 - 11) = 32 response samples a lag
+constexpr int kResponseShift = 11;    // 2^(16 - 11) = 32 response samples a lag
 // Worst interpolation error of a unit phasor; S is off by at most B times this.
 constexpr double kMaxPhasorError = 4e-6;
 
-// Steps of the correlation to choose from, in radians of the band's upper end: the first that is exact enough.
+// Steps of the correlation to choose from, in radians of the band's upper end: the first that is
+// exact enough.
 constexpr std::array kLagRadians = {0.6, 0.5, 0.4, 0.35, 0.3, 0.27, 0.24, 0.21, 0.18, 0.15};
 
 typedef float Float4 __attribute__((vector_size(16)));
@@ -55,8 +55,9 @@ void Transpose(Float4& a, Float4& b, Float4& c, Float4& d) {
   d = __builtin_shuffle(ab_high, cd_high, Int4{2, 3, 6, 7});
 }
 
-// The cubic in t = 0 .. 1 between taps kTapsBefore and kTapsBefore + 1 that follows every e^{j omega t} of the band best: least squares
-// over t gives the cubic of each omega, least squares over omega the taps of each coefficient. Row m belongs to t^m.
+// The cubic in t = 0 .. 1 between taps kTapsBefore and kTapsBefore + 1 that follows every e^{j
+// omega t} of the band best: least squares over t gives the cubic of each omega, least squares over
+// omega the taps of each coefficient. Row m belongs to t^m.
 Eigen::MatrixXd CubicFromTaps(const std::vector<double>& radians_per_lag) {
   constexpr int kNodes = 16;
   Eigen::MatrixXd powers(kNodes, 4);
@@ -91,8 +92,7 @@ double MaxPhasorError(const Eigen::MatrixXd& cubic, const std::vector<double>& r
       const double t = i / 32.0;
       std::complex<double> value = 0.0;
       for (int k = 0; k < kTaps; ++k) {
-        const double weight =
-            cubic(0, k) + t * (cubic(1, k) + t * (cubic(2, k) + t * cubic(3, k)));
+        const double weight = cubic(0, k) + t * (cubic(1, k) + t * (cubic(2, k) + t * cubic(3, k)));
         value += weight * std::polar(1.0, omega * (k - kTapsBefore));
       }
       worst = std::max(worst, std::abs(value - std::polar(1.0, omega * t)));
@@ -179,9 +179,9 @@ absl::Status SrpPhat::Build(double speed_of_sound_mps,
   const double smallest_lag_s =
       kLagRadians.back() / (2.0 * kPi * std::max(layout_.bin_hz(layout_.bins - 1), 1.0));
   if (2.0 * (max_delay_s / smallest_lag_s + 2.0) > kMaxIntervals) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "the array is too large for the band: ", max_delay_s * speed_of_sound_mps, " m at ",
-        layout_.bin_hz(layout_.bins - 1), " Hz"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("the array is too large for the band: ", max_delay_s * speed_of_sound_mps,
+                     " m at ", layout_.bin_hz(layout_.bins - 1), " Hz"));
   }
   BuildInterpolator(max_delay_s);
   BuildCells();
@@ -217,8 +217,7 @@ void SrpPhat::BuildInterpolator(double max_delay_s) {
 
 int SrpPhat::Tiles() const { return (grid_.size() + kTileDirections - 1) / kTileDirections; }
 
-std::int64_t SrpPhat::FinePosition(const PairGroup& group,
-                                   const Eigen::Vector3d& direction) const {
+std::int64_t SrpPhat::FinePosition(const PairGroup& group, const Eigen::Vector3d& direction) const {
   return std::llround((group.delay_s.dot(direction) / lag_step_s_ + centre_) * kFinePerLag);
 }
 
@@ -251,16 +250,19 @@ void SrpPhat::BuildResponse() {
   const int samples_per_lag = static_cast<int>(kFinePerLag) >> kResponseShift;
   response_centre_ = 2 * (centre_ + 1) * samples_per_lag;
   response_.resize(2 * response_centre_ + 1);
-  const double bin_spacing_hz = layout_.sample_rate_hz / static_cast<double>(layout_.window_samples);
+  const double bin_spacing_hz =
+      layout_.sample_rate_hz / static_cast<double>(layout_.window_samples);
   const double mid_hz = 0.5 * (layout_.bin_hz(0) + layout_.bin_hz(layout_.bins - 1));
   for (int i = 0; i <= 2 * response_centre_; ++i) {
     const double delay_s = (i - response_centre_) * lag_step_s_ / samples_per_lag;
-    // The sum of cos(2 pi f tau) over equally spaced f. Near a zero of the denominator all terms agree.
+    // The sum of cos(2 pi f tau) over equally spaced f. Near a zero of the denominator all terms
+    // agree.
     const double half_phase = kPi * bin_spacing_hz * delay_s;
     const double turn = std::remainder(half_phase, kPi);
-    const double dirichlet = std::abs(turn) < 1e-9
-                                 ? layout_.bins * (std::cos(half_phase) < 0.0 && layout_.bins % 2 == 0 ? -1.0 : 1.0)
-                                 : std::sin(layout_.bins * half_phase) / std::sin(half_phase);
+    const double dirichlet =
+        std::abs(turn) < 1e-9
+            ? layout_.bins * (std::cos(half_phase) < 0.0 && layout_.bins % 2 == 0 ? -1.0 : 1.0)
+            : std::sin(layout_.bins * half_phase) / std::sin(half_phase);
     response_[i] = static_cast<float>(std::cos(2.0 * kPi * mid_hz * delay_s) * dirichlet);
   }
 }
@@ -415,8 +417,7 @@ void SrpPhat::AddResponse(const Eigen::Vector3d& source, float gain, float offse
       for (int d = 0; d < kTileDirections; d += 4 * stride, cell += stride) {
         const Int4 coarse{cell->interval_x2[0], cell->interval_x2[1], cell->interval_x2[2],
                           cell->interval_x2[3]};
-        const Int4 fine{cell->fraction[0], cell->fraction[1], cell->fraction[2],
-                        cell->fraction[3]};
+        const Int4 fine{cell->fraction[0], cell->fraction[1], cell->fraction[2], cell->fraction[3]};
         const Int4 index = ((coarse << 15) + fine - origin) >> kResponseShift;
         const Float4 value{response[index[0]], response[index[1]], response[index[2]],
                            response[index[3]]};
@@ -434,8 +435,10 @@ void SrpPhat::AddResponse(const Eigen::Vector3d& source, float gain, float offse
 }
 
 double SrpPhat::IncoherentSpread() const {
-  // |Y|^2 of N independent unit phasors over N has the variance (1 - 1/N) / N^2. Neighbours in the sums of eqs. (4) and (5) are correlated:
-  // |.|^2 of periodic Hann windows by (2/3)^2 one bin apart, (1/6)^2 two bins apart, (1/6)^2 half a window apart.
+  // |Y|^2 of N independent unit phasors over N has the variance (1 - 1/N) / N^2. Neighbours in the
+  // sums of eqs. (4) and (5) are correlated:
+  // |.|^2 of periodic Hann windows by (2/3)^2 one bin apart, (1/6)^2 two bins apart, (1/6)^2 half a
+  // window apart.
   constexpr double kBins = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
   constexpr double kFrames = 1.0 + 2.0 / 36.0;
   const double n = microphones_;

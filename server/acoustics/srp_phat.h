@@ -1,11 +1,10 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <memory>
 #include <span>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "absl/status/statusor.h"
 #include "acoustics/config.h"
@@ -17,21 +16,26 @@ namespace soundmap::acoustics {
 // S(k) of section III: the power of every candidate direction.
 struct AudioScan {
   std::vector<float> power;  // S(theta_i, phi_i, k) of eq. (5), in the order of the grid
-  // What PowerAt() needs: the cross-correlation of every microphone pair in the band, as cubics of the delay.
+  // What PowerAt() needs: the cross-correlation of every microphone pair in the band, as cubics of
+  // the delay.
   std::vector<float> correlation;
   float auto_power = 0.0f;  // the part of S that is the same in every direction
 };
 
-// Steered response power with the phase transform, eqs. (2)-(5). u_i and p_n are in mic_array, u_i points from the array to the source, and
-// tau_n = 2 pi f (p_n . u_i) / c in eq. (3). 0 <= S <= B, reached by a plane wave from exactly u_i; incoherent noise averages B/N.
+// Steered response power with the phase transform, eqs. (2)-(5). u_i and p_n are in mic_array, u_i
+// points from the array to the source, and tau_n = 2 pi f (p_n . u_i) / c in eq. (3). 0 <= S <= B,
+// reached by a plane wave from exactly u_i; incoherent noise averages B/N.
 //
-// |Y|^2 is expanded into the cross-spectra of the microphone pairs, which are averaged over the K frames (eq. 4) and summed over the band
-// (eq. 5) first; each direction then reads one correlation value a pair. Pairs with one difference vector are one. The cubics are chosen so
-// that no power is off by more than 1e-5 B. Immutable; all members may be called on many threads at once, with the same bits as result.
+// |Y|^2 is expanded into the cross-spectra of the microphone pairs, which are averaged over the K
+// frames (eq. 4) and summed over the band (eq. 5) first; each direction then reads one correlation
+// value a pair. Pairs with one difference vector are one. The cubics are chosen so that no power is
+// off by more than 1e-5 B. Immutable; all members may be called on many threads at once, with the
+// same bits as result.
 class SrpPhat {
  public:
-  // InvalidArgument: not 2 to 64 microphones, a position that is not finite, two microphones at one place, an empty grid, an array so large
-  // that its delays exceed the table (about 16 000 half-periods of f_max).
+  // InvalidArgument: not 2 to 64 microphones, a position that is not finite, two microphones at one
+  // place, an empty grid, an array so large that its delays exceed the table (about 16 000
+  // half-periods of f_max).
   static absl::StatusOr<std::shared_ptr<const SrpPhat>> Create(
       const FrameLayout& layout, double speed_of_sound_mps,
       const std::vector<Eigen::Vector3d>& mic_in_array_m, geometry::DirectionGrid grid);
@@ -41,11 +45,12 @@ class SrpPhat {
   // S of eq. (5) in any direction.
   double PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const;
 
-  // Eqs. (2)-(5) applied to a unit plane wave from `source`: the response in `direction`, B where they are equal.
+  // Eqs. (2)-(5) applied to a unit plane wave from `source`: the response in `direction`, B where
+  // they are equal.
   double ResponseAt(const Eigen::Vector3d& source, const Eigen::Vector3d& direction) const;
 
-  // power[i] += gain * (ResponseAt(source, grid()[i]) - offset), each response within 1e-2 B (typically 1e-3 B); for all i, or for those
-  // of the sample.
+  // power[i] += gain * (ResponseAt(source, grid()[i]) - offset), each response within 1e-2 B
+  // (typically 1e-3 B); for all i, or for those of the sample.
   void AddResponse(const Eigen::Vector3d& source, float gain, float offset,
                    std::span<float> power) const;
   void AddResponseToSample(const Eigen::Vector3d& source, float gain, float offset,
@@ -56,8 +61,9 @@ class SrpPhat {
   // Standard deviation of S, in one direction, in noise that is independent at each microphone.
   double IncoherentSpread() const;
 
-  // The directions that the array cannot tell from `direction` have the same image under this map: itself in space, its mirror image
-  // for microphones in a plane, a cone for microphones in a line. Image points of distinguishable directions are as far apart as they are.
+  // The directions that the array cannot tell from `direction` have the same image under this map:
+  // itself in space, its mirror image for microphones in a plane, a cone for microphones in a line.
+  // Image points of distinguishable directions are as far apart as they are.
   Eigen::Vector3d Distinguishable(const Eigen::Vector3d& direction) const;
 
   const geometry::DirectionGrid& grid() const { return grid_; }
@@ -108,11 +114,11 @@ class SrpPhat {
   int max_lag_ = 0;    // samples of the correlation lie at -max_lag_ .. max_lag_
   int intervals_ = 0;  // interval j spans lags j - centre_ .. j - centre_ + 1
   int centre_ = 0;
-  Eigen::MatrixXf even_basis_;    // cos(2 pi f l lag_step), lags 0 .. max_lag_ by bins
-  Eigen::MatrixXf odd_basis_;     // sin
-  Eigen::MatrixXf cubic_;         // 4 coefficients by taps
-  std::vector<Cell> cells_;       // tile by tile, group by group, four directions each
-  std::vector<float> response_;   // sum over the band of cos(2 pi f tau), by delay
+  Eigen::MatrixXf even_basis_;   // cos(2 pi f l lag_step), lags 0 .. max_lag_ by bins
+  Eigen::MatrixXf odd_basis_;    // sin
+  Eigen::MatrixXf cubic_;        // 4 coefficients by taps
+  std::vector<Cell> cells_;      // tile by tile, group by group, four directions each
+  std::vector<float> response_;  // sum over the band of cos(2 pi f tau), by delay
   int response_centre_ = 0;
 };
 

@@ -13,7 +13,8 @@ namespace {
 // FFTW's planner keeps global state; executing a plan does not.
 std::mutex planner_mutex;
 
-// Relative to the energy of the windowed frame: a few times the rounding error of a float transform.
+// Relative to the energy of the windowed frame: a few times the rounding error of a float
+// transform.
 constexpr float kRoundingLevel = 3e-7f;
 
 float Energy(const float* values, int count) {
@@ -35,17 +36,17 @@ struct Stft::Transform {
   Transform(int window_samples, int microphones)
       : window(window_samples),
         input(fftwf_alloc_real(static_cast<std::size_t>(window_samples) * microphones)),
-        output(fftwf_alloc_complex(static_cast<std::size_t>(window_samples / 2 + 1) *
-                                   microphones)) {
+        output(
+            fftwf_alloc_complex(static_cast<std::size_t>(window_samples / 2 + 1) * microphones)) {
     for (int s = 0; s < window_samples; ++s) {
       window[s] =
           static_cast<float>(0.5 - 0.5 * std::cos(2.0 * geometry::kPi * s / window_samples));
     }
     const std::lock_guard lock(planner_mutex);
     // FFTW_ESTIMATE: the plan does not depend on timing, so equal input gives equal bits.
-    plan = fftwf_plan_many_dft_r2c(1, &window_samples, microphones, input, nullptr, 1,
-                                   window_samples, output, nullptr, 1, window_samples / 2 + 1,
-                                   FFTW_ESTIMATE);
+    plan =
+        fftwf_plan_many_dft_r2c(1, &window_samples, microphones, input, nullptr, 1, window_samples,
+                                output, nullptr, 1, window_samples / 2 + 1, FFTW_ESTIMATE);
   }
   ~Transform() {
     {

@@ -9,7 +9,8 @@
 
 namespace soundmap::acoustics {
 
-// V_n(f, t) of eq. (1) in the band, for the K frames of one audio scan. Each value has magnitude 1, or 0 where the bin is silent.
+// V_n(f, t) of eq. (1) in the band, for the K frames of one audio scan. Each value has magnitude 1,
+// or 0 where the bin is silent.
 struct PhatSpectra {
   PhatSpectra(int frames, int microphones, int bins)
       : frames(frames),
@@ -29,7 +30,8 @@ struct PhatSpectra {
   std::vector<float> imaginary;
 };
 
-// The short time Fourier transform with a periodic Hann window, W/2 hop, and the phase transform of eq. (1). One thread at a time.
+// The short time Fourier transform with a periodic Hann window, W/2 hop, and the phase transform of
+// eq. (1). One thread at a time.
 class Stft {
  public:
   Stft(const FrameLayout& layout, int microphones);
@@ -38,7 +40,8 @@ class Stft {
   Stft& operator=(Stft&&) noexcept;
 
   // `samples`: interleaved, layout.scan_samples() of every microphone.
-  // Deviation from eq. (1): a bin of magnitude 0, or so small beside its frame that float arithmetic leaves only rounding there, gives 0.
+  // Deviation from eq. (1): a bin of magnitude 0, or so small beside its frame that float
+  // arithmetic leaves only rounding there, gives 0.
   PhatSpectra Analyze(std::span<const std::int16_t> samples);
 
  private:

@@ -27,9 +27,9 @@ void Set(v1::Transform* proto, const Eigen::Isometry3d& transform) {
 absl::StatusOr<Eigen::Isometry3d> TransformFrom(const v1::Transform& proto, const char* name) {
   const auto& q = proto.rotation();
   const auto& t = proto.translation_m();
-  const Eigen::Quaterniond rotation =
-      proto.has_rotation() ? Eigen::Quaterniond(q.w(), q.x(), q.y(), q.z())
-                           : Eigen::Quaterniond::Identity();
+  const Eigen::Quaterniond rotation = proto.has_rotation()
+                                          ? Eigen::Quaterniond(q.w(), q.x(), q.y(), q.z())
+                                          : Eigen::Quaterniond::Identity();
   const Eigen::Vector3d translation(t.x(), t.y(), t.z());
   if (!translation.allFinite() || !rotation.coeffs().allFinite() ||
       std::abs(rotation.norm() - 1.0) > 1e-3) {
@@ -81,7 +81,8 @@ v1::Calibration ToProto(const frames::Calibration& calibration) {
   Set(proto.mutable_base_from_array(), calibration.base_from_array);
   Set(proto.mutable_base_from_lidar(), calibration.base_from_lidar);
   Set(proto.mutable_base_from_laser(), calibration.base_from_laser);
-  for (const Eigen::Vector3d& mic : calibration.mic_in_array_m) Set(proto.add_mic_in_array_m(), mic);
+  for (const Eigen::Vector3d& mic : calibration.mic_in_array_m)
+    Set(proto.add_mic_in_array_m(), mic);
   proto.set_laser_time_increment_s(calibration.laser_time_increment_s);
   proto.set_audio_sample_rate_hz(calibration.audio_sample_rate_hz);
   return proto;
@@ -163,8 +164,7 @@ v1::AudioScan ToProto(const std::string& site, const pipeline::AudioScanInfo& sc
   *proto.mutable_pose() = ToProto(scan.pose);
   proto.set_noise_floor(scan.noise_floor);
   for (const acoustics::Peak& peak : scan.peaks) {
-    const geometry::DirectionAngles angles =
-        geometry::AnglesFromDirection(peak.direction_in_array);
+    const geometry::DirectionAngles angles = geometry::AnglesFromDirection(peak.direction_in_array);
     v1::AudioPeak* proto_peak = proto.add_peaks();
     proto_peak->set_azimuth_rad(angles.azimuth_rad);
     proto_peak->set_elevation_rad(angles.elevation_rad);

@@ -26,7 +26,8 @@ v1::SoundSource ToProto(const std::string& site, const sound_map::SoundSource& s
 v1::AudioScan ToProto(const std::string& site, const pipeline::AudioScanInfo& scan);
 v1::Operation ToProto(const pipeline::OperationInfo& operation);
 
-// InvalidArgument: a number that is not finite, a rotation that is none; an absent transform is the identity.
+// InvalidArgument: a number that is not finite, a rotation that is none; an absent transform is the
+// identity.
 absl::StatusOr<geometry::Pose2> FromProto(const v1::Pose2& pose);
 absl::StatusOr<frames::Calibration> FromProto(const v1::Calibration& calibration);
 

@@ -33,8 +33,8 @@ absl::StatusOr<frames::TimeNs> StampFrom(const google::protobuf::Timestamp& stam
   constexpr std::int64_t kMaxSeconds = std::numeric_limits<std::int64_t>::max() / 1'000'000'000 - 1;
   if (stamp.seconds() < 0 || stamp.seconds() > kMaxSeconds || stamp.nanos() < 0 ||
       stamp.nanos() > 999'999'999) {
-    return absl::InvalidArgumentError(absl::StrCat("the frame's time stamp of ", stamp.seconds(),
-                                                   " s is outside 1970 to 2262"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("the frame's time stamp of ", stamp.seconds(), " s is outside 1970 to 2262"));
   }
   return stamp.seconds() * 1'000'000'000 + stamp.nanos();
 }
@@ -62,9 +62,8 @@ absl::StatusOr<frames::Frame> DecodeAudio(std::string_view schema, std::string_v
   const auto stamp_ns = StampFrom(message->timestamp());
   if (!stamp_ns.ok()) return stamp_ns.status();
   if (message->format() != "pcm-s16") {
-    return absl::InvalidArgumentError(
-        absl::StrCat("audio in the format '", message->format(),
-                     "' is not taken; lossless 'pcm-s16' is"));
+    return absl::InvalidArgumentError(absl::StrCat("audio in the format '", message->format(),
+                                                   "' is not taken; lossless 'pcm-s16' is"));
   }
   const std::size_t channels = message->number_of_channels();
   if (channels != calibration.mic_in_array_m.size()) {
@@ -134,9 +133,8 @@ absl::StatusOr<frames::Frame> DecodeLidar(std::string_view schema, std::string_v
                        "float32 or float64, time_offset_ns is uint32"));
     }
     if (std::uint64_t{field.offset()} + (is_double ? 8 : 4) > stride) {
-      return absl::InvalidArgumentError(absl::StrCat("the point cloud's field '", name,
-                                                     "' ends beyond the stride of ", stride,
-                                                     " bytes"));
+      return absl::InvalidArgumentError(absl::StrCat(
+          "the point cloud's field '", name, "' ends beyond the stride of ", stride, " bytes"));
     }
     if (is_time) {
       time_offset = field.offset();
@@ -159,8 +157,7 @@ absl::StatusOr<frames::Frame> DecodeLidar(std::string_view schema, std::string_v
   scan.point_in_lidar.reserve(data.size() / stride);
   if (time_offset) scan.time_offset_ns.reserve(data.size() / stride);
   const Eigen::Isometry3f transform = lidar_from_cloud->cast<float>();
-  for (const char* element = data.data(); element != data.data() + data.size();
-       element += stride) {
+  for (const char* element = data.data(); element != data.data() + data.size(); element += stride) {
     const Eigen::Vector3f point(axes[0]->Read(element), axes[1]->Read(element),
                                 axes[2]->Read(element));
     if (!point.allFinite() || point.squaredNorm() < kMinLidarRange_m * kMinLidarRange_m) continue;

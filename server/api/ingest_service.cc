@@ -1,9 +1,8 @@
 #include "api/ingest_service.h"
 
+#include <boost/asio/post.hpp>
 #include <optional>
 #include <utility>
-
-#include <boost/asio/post.hpp>
 
 #include "absl/strings/str_cat.h"
 #include "api/find.h"
@@ -41,7 +40,8 @@ std::optional<SensorFormat> FormatOf(v1::Sensor sensor) {
 
 }  // namespace
 
-// One robot's stream. gRPC calls the On...() functions one at a time per kind; the pipeline wakes it from the executor.
+// One robot's stream. gRPC calls the On...() functions one at a time per kind; the pipeline wakes
+// it from the executor.
 class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, v1::IngestResponse>,
                               public std::enable_shared_from_this<IngestService::Stream> {
  public:
@@ -129,8 +129,8 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
     }
     epoch_ = open.epoch();
     session_ = *session;
-    const std::int64_t resume_offset = session_->Attach(
-        epoch_, [weak = weak_from_this(), executor = service_->executor_] {
+    const std::int64_t resume_offset =
+        session_->Attach(epoch_, [weak = weak_from_this(), executor = service_->executor_] {
           boost::asio::post(executor, [weak] {
             if (const auto self = weak.lock()) self->Pump();
           });
@@ -153,8 +153,8 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
     }
     const std::string where = absl::StrCat("the chunk at offset ", chunk.first_offset());
     if (bytes > kMaxChunkBytes) {
-      return absl::InvalidArgumentError(absl::StrCat(where, " has ", bytes, " bytes; ",
-                                                     kMaxChunkBytes, " are the limit"));
+      return absl::InvalidArgumentError(
+          absl::StrCat(where, " has ", bytes, " bytes; ", kMaxChunkBytes, " are the limit"));
     }
     if (crc != chunk.crc32c()) {
       return absl::InvalidArgumentError(absl::StrCat(where, " does not match its checksum"));
@@ -204,7 +204,8 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
     return absl::OkStatus();
   }
 
-  // True when this was the last part. Parts of a frame come in order; any other part begins anew or is an error.
+  // True when this was the last part. Parts of a frame come in order; any other part begins anew or
+  // is an error.
   absl::StatusOr<bool> TakePart(const v1::Frame& frame, std::int64_t offset) {
     if (frame.part() == 0) {
       parts_.clear();
@@ -216,8 +217,8 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
           absl::StrCat("frame ", offset, " came in parts out of order"));
     }
     if (static_cast<std::int64_t>(parts_.size() + frame.payload().size()) > kMaxFrameBytes) {
-      return absl::InvalidArgumentError(absl::StrCat("frame ", offset, " is larger than ",
-                                                     kMaxFrameBytes, " bytes"));
+      return absl::InvalidArgumentError(
+          absl::StrCat("frame ", offset, " is larger than ", kMaxFrameBytes, " bytes"));
     }
     parts_offset_ = offset;
     parts_.append(frame.payload());

@@ -1,11 +1,10 @@
 #pragma once
 
 #include <atomic>
+#include <boost/asio/any_io_executor.hpp>
 #include <memory>
 #include <mutex>
 #include <set>
-
-#include <boost/asio/any_io_executor.hpp>
 
 #include "pipeline/sites.h"
 #include "soundmap/v1/ingest_service.grpc.pb.h"

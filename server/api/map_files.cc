@@ -1,13 +1,13 @@
 #include "api/map_files.h"
 
+#include <unistd.h>
+
 #include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <limits>
 #include <optional>
 #include <sstream>
-
-#include <unistd.h>
 
 #include "absl/strings/str_cat.h"
 #include "building/files.h"
@@ -42,7 +42,8 @@ std::optional<sound_map::PlanImage> PlanOf(const pipeline::Site& site) {
   return image;
 }
 
-// The voxels as one foxglove.PointCloud: x, y, z, log_odds (float32), update_count (uint32), age_s (float32, before the newest).
+// The voxels as one foxglove.PointCloud: x, y, z, log_odds (float32), update_count (uint32), age_s
+// (float32, before the newest).
 foxglove::PointCloud CloudFrom(const sound_map::Snapshot& map, std::uint32_t min_updates) {
   struct Point {
     float x, y, z, log_odds;
@@ -61,13 +62,13 @@ foxglove::PointCloud CloudFrom(const sound_map::Snapshot& map, std::uint32_t min
     const char* name;
     std::size_t offset;
     foxglove::PackedElementField::NumericType type;
-  } fields[] = {{"x", offsetof(Point, x), foxglove::PackedElementField::FLOAT32},
-                {"y", offsetof(Point, y), foxglove::PackedElementField::FLOAT32},
-                {"z", offsetof(Point, z), foxglove::PackedElementField::FLOAT32},
-                {"log_odds", offsetof(Point, log_odds), foxglove::PackedElementField::FLOAT32},
-                {"update_count", offsetof(Point, update_count),
-                 foxglove::PackedElementField::UINT32},
-                {"age_s", offsetof(Point, age_s), foxglove::PackedElementField::FLOAT32}};
+  } fields[] = {
+      {"x", offsetof(Point, x), foxglove::PackedElementField::FLOAT32},
+      {"y", offsetof(Point, y), foxglove::PackedElementField::FLOAT32},
+      {"z", offsetof(Point, z), foxglove::PackedElementField::FLOAT32},
+      {"log_odds", offsetof(Point, log_odds), foxglove::PackedElementField::FLOAT32},
+      {"update_count", offsetof(Point, update_count), foxglove::PackedElementField::UINT32},
+      {"age_s", offsetof(Point, age_s), foxglove::PackedElementField::FLOAT32}};
   for (const auto& field : fields) {
     foxglove::PackedElementField* proto = cloud.add_fields();
     proto->set_name(field.name);
@@ -77,7 +78,11 @@ foxglove::PointCloud CloudFrom(const sound_map::Snapshot& map, std::uint32_t min
   map.ForEach([&](const geometry::VoxelKey& key, const sound_map::Voxel& voxel) {
     if (voxel.update_count <= min_updates) return true;
     const Eigen::Vector3f p = geometry::PointFromKey(key, map.voxel_size_m()).cast<float>();
-    const Point point{p.x(), p.y(), p.z(), voxel.log_odds, voxel.update_count,
+    const Point point{p.x(),
+                      p.y(),
+                      p.z(),
+                      voxel.log_odds,
+                      voxel.update_count,
                       static_cast<float>(frames::SecondsFromNs(as_of_ns - voxel.last_update_ns))};
     cloud.mutable_data()->append(reinterpret_cast<const char*>(&point), sizeof(point));
     return true;

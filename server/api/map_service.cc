@@ -28,10 +28,9 @@ grpc::ServerUnaryReactor* MapService::BuildMap(grpc::CallbackServerContext* cont
     const auto name = ParseSession(request->session());
     if (!name.ok()) return Finish(context, name.status());
     if (name->site != site_name) {
-      return Finish(context,
-                    absl::InvalidArgumentError(absl::StrCat("session '", request->session(),
-                                                            "' is not one of site '", site_name,
-                                                            "'")));
+      return Finish(
+          context, absl::InvalidArgumentError(absl::StrCat(
+                       "session '", request->session(), "' is not one of site '", site_name, "'")));
     }
     session = name->session;
   }
@@ -100,10 +99,8 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
     const auto operation = service_->operations_->Start(
         "import_map", (*site)->record().site, header_->request_id(),
         [site = *site, format = *format, data = std::move(data_),
-         picture = std::move(picture)](
-            pipeline::OperationContext&) -> absl::StatusOr<std::string> {
-          auto building =
-              building::ImportBuilding(format, data, picture, site->profile().import);
+         picture = std::move(picture)](pipeline::OperationContext&) -> absl::StatusOr<std::string> {
+          auto building = building::ImportBuilding(format, data, picture, site->profile().import);
           if (!building.ok()) return building.status();
           const absl::Status activated = site->ActivateBuilding(*std::move(building));
           if (!activated.ok()) return activated;

@@ -25,9 +25,9 @@ grpc::ServerUnaryReactor* OperationService::GetOperation(grpc::CallbackServerCon
   return Finish(context, absl::OkStatus());
 }
 
-grpc::ServerUnaryReactor* OperationService::ListOperations(
-    grpc::CallbackServerContext* context, const v1::ListOperationsRequest* request,
-    v1::ListOperationsResponse* response) {
+grpc::ServerUnaryReactor* OperationService::ListOperations(grpc::CallbackServerContext* context,
+                                                           const v1::ListOperationsRequest* request,
+                                                           v1::ListOperationsResponse* response) {
   std::string site;
   if (!request->site().empty()) {
     const auto name = ParseSite(request->site());
@@ -50,12 +50,12 @@ grpc::ServerUnaryReactor* OperationService::WaitOperation(grpc::CallbackServerCo
   const auto id = ParseOperation(request->name());
   if (!id.ok()) return Finish(context, id.status());
   grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
-  const absl::Status waiting = operations_->Wait(
-      *id, absl::Milliseconds(std::clamp(request->timeout_ms(), 0, kMaxWait_ms)),
-      [reactor, response](const pipeline::OperationInfo& operation) {
-        *response = ToProto(operation);
-        reactor->Finish(grpc::Status::OK);
-      });
+  const absl::Status waiting =
+      operations_->Wait(*id, absl::Milliseconds(std::clamp(request->timeout_ms(), 0, kMaxWait_ms)),
+                        [reactor, response](const pipeline::OperationInfo& operation) {
+                          *response = ToProto(operation);
+                          reactor->Finish(grpc::Status::OK);
+                        });
   if (!waiting.ok()) reactor->Finish(ToGrpcStatus(waiting));
   return reactor;
 }

@@ -9,7 +9,8 @@
 namespace soundmap::api {
 namespace {
 
-// The parts of `name` that stand between the given collections: {"sites", "sessions"} takes "sites/a/sessions/b" apart into a and b.
+// The parts of `name` that stand between the given collections: {"sites", "sessions"} takes
+// "sites/a/sessions/b" apart into a and b.
 absl::StatusOr<std::vector<std::string>> Parse(const std::string& name,
                                                std::initializer_list<const char*> collections) {
   const std::vector<std::string> parts = absl::StrSplit(name, '/');

@@ -6,8 +6,8 @@
 
 namespace soundmap::api {
 
-// Names of the API's resources and what stands in them. The parsers return InvalidArgument with the name as it came; whether the parts
-// are names that can exist is for those who look them up.
+// Names of the API's resources and what stands in them. The parsers return InvalidArgument with the
+// name as it came; whether the parts are names that can exist is for those who look them up.
 struct SessionName {
   std::string site;
   std::string session;
@@ -17,11 +17,13 @@ struct SourceName {
   std::string source;
 };
 
-absl::StatusOr<std::string> ParseSite(const std::string& name);            // "sites/{site}"
-absl::StatusOr<std::string> ParseRobot(const std::string& name);           // "robots/{robot}"
-absl::StatusOr<std::string> ParseOperation(const std::string& name);       // "operations/{id}"
-absl::StatusOr<SessionName> ParseSession(const std::string& name);         // "sites/{site}/sessions/{session}"
-absl::StatusOr<SourceName> ParseSoundSource(const std::string& name);      // "sites/{site}/soundSources/{source}"
+absl::StatusOr<std::string> ParseSite(const std::string& name);       // "sites/{site}"
+absl::StatusOr<std::string> ParseRobot(const std::string& name);      // "robots/{robot}"
+absl::StatusOr<std::string> ParseOperation(const std::string& name);  // "operations/{id}"
+absl::StatusOr<SessionName> ParseSession(
+    const std::string& name);  // "sites/{site}/sessions/{session}"
+absl::StatusOr<SourceName> ParseSoundSource(
+    const std::string& name);  // "sites/{site}/soundSources/{source}"
 
 std::string SiteResource(const std::string& site);
 std::string RobotResource(const std::string& robot);

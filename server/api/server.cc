@@ -1,12 +1,12 @@
 #include "api/server.h"
 
-#include <chrono>
-#include <fstream>
-#include <sstream>
-
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
+
+#include <chrono>
+#include <fstream>
+#include <sstream>
 
 #include "absl/strings/str_cat.h"
 #include "api/ingest_service.h"
@@ -86,8 +86,8 @@ class GrpcServer : public Server {
     }
     server_ = builder.BuildAndStart();
     if (!server_ || port == 0) {
-      return absl::UnavailableError(absl::StrCat(
-          "cannot listen on the gRPC address ", address, ": the port is busy or not allowed"));
+      return absl::UnavailableError(absl::StrCat("cannot listen on the gRPC address ", address,
+                                                 ": the port is busy or not allowed"));
     }
     address_ = absl::StrCat(address.substr(0, address.rfind(':')), ":", port);
     server_->GetHealthCheckService()->SetServingStatus(true);

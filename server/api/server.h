@@ -1,10 +1,9 @@
 #pragma once
 
+#include <boost/asio/any_io_executor.hpp>
 #include <functional>
 #include <memory>
 #include <string>
-
-#include <boost/asio/any_io_executor.hpp>
 
 #include "absl/status/statusor.h"
 #include "pipeline/operations.h"
@@ -16,7 +15,8 @@ namespace soundmap::api {
 struct TlsFiles {
   std::string certificate;  // PEM; empty: plain text
   std::string key;
-  std::string client_ca;  // robots and apps must show a certificate that it signed; empty: none asked for
+  std::string
+      client_ca;  // robots and apps must show a certificate that it signed; empty: none asked for
 };
 
 // The gRPC services of soundmap.v1, with health checking and reflection.
@@ -31,7 +31,8 @@ class Server {
     std::string server_id;  // of this run of the server
   };
 
-  // Serves at once. Unavailable: the address cannot be bound. InvalidArgument, NotFound: the TLS files.
+  // Serves at once. Unavailable: the address cannot be bound. InvalidArgument, NotFound: the TLS
+  // files.
   static absl::StatusOr<std::unique_ptr<Server>> Start(const std::string& address,
                                                        const TlsFiles& tls, const Parts& parts);
   virtual ~Server() = default;

@@ -97,16 +97,17 @@ grpc::ServerWriteReactor<v1::TrajectoryChunk>* SessionService::GetTrajectory(
                       from_ns = std::numeric_limits<frames::TimeNs>::min()](
                          v1::TrajectoryChunk& chunk) mutable -> absl::StatusOr<bool> {
     // Cancelled is how this reading is stopped when the chunk is full.
-    const absl::Status read = store->ReadTrajectory(
-        id, from_ns, std::numeric_limits<frames::TimeNs>::max(),
-        [&](const storage::TrajectoryEntry& entry) -> absl::Status {
-          if (chunk.poses_size() == kPosesPerChunk) return absl::CancelledError("");
-          const auto pose = pipeline::DecodePose(entry.pose);
-          if (!pose.ok()) return pose.status();
-          *chunk.add_poses() = ToProto(*pose);
-          from_ns = entry.time_ns + 1;
-          return absl::OkStatus();
-        });
+    const absl::Status read =
+        store->ReadTrajectory(id, from_ns, std::numeric_limits<frames::TimeNs>::max(),
+                              [&](const storage::TrajectoryEntry& entry) -> absl::Status {
+                                if (chunk.poses_size() == kPosesPerChunk)
+                                  return absl::CancelledError("");
+                                const auto pose = pipeline::DecodePose(entry.pose);
+                                if (!pose.ok()) return pose.status();
+                                *chunk.add_poses() = ToProto(*pose);
+                                from_ns = entry.time_ns + 1;
+                                return absl::OkStatus();
+                              });
     if (!read.ok() && !absl::IsCancelled(read)) return read;
     return chunk.poses_size() > 0;
   });

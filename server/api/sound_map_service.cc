@@ -84,9 +84,9 @@ grpc::ServerUnaryReactor* SoundMapService::GetSoundSource(grpc::CallbackServerCo
     *response = ToProto(name->site, source);
     return Finish(context, absl::OkStatus());
   }
-  return Finish(context, absl::NotFoundError(absl::StrCat("sound source '", name->source,
-                                                          "' does not exist at site '", name->site,
-                                                          "'")));
+  return Finish(context,
+                absl::NotFoundError(absl::StrCat("sound source '", name->source,
+                                                 "' does not exist at site '", name->site, "'")));
 }
 
 grpc::ServerUnaryReactor* SoundMapService::ListSoundSources(
@@ -153,9 +153,8 @@ grpc::ServerUnaryReactor* SoundMapService::ListAudioScans(grpc::CallbackServerCo
   if (!after.ok()) return Finish(context, after.status());
 
   const std::string site_name = (*site)->record().site;
-  const frames::TimeNs end_ns = request->end_ns() == 0
-                                    ? std::numeric_limits<frames::TimeNs>::max()
-                                    : request->end_ns();
+  const frames::TimeNs end_ns =
+      request->end_ns() == 0 ? std::numeric_limits<frames::TimeNs>::max() : request->end_ns();
   ScanPosition last = *after;
   // Cancelled is how this reading is stopped when the page is full.
   const absl::Status read = store_->ReadJournalRange(

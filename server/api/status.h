@@ -6,7 +6,8 @@
 
 namespace soundmap::api {
 
-// The same code and sentence, with google.rpc.ErrorInfo, and RetryInfo where trying again later helps.
+// The same code and sentence, with google.rpc.ErrorInfo, and RetryInfo where trying again later
+// helps.
 grpc::Status ToGrpcStatus(const absl::Status& status);
 
 }  // namespace soundmap::api

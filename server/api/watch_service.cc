@@ -1,12 +1,11 @@
 #include "api/watch_service.h"
 
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
 #include <chrono>
 #include <deque>
 #include <mutex>
 #include <optional>
-
-#include <boost/asio/post.hpp>
-#include <boost/asio/steady_timer.hpp>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -46,12 +45,12 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
                       absl::SimpleAtoi(position, &next_) &&
                       !site_->region().events().Read(next_, 0).lost;
     if (!ours) QueueSnapshot();
-    subscription_ = site_->region().events().Subscribe([weak = weak_from_this(),
-                                                        executor = executor_] {
-      boost::asio::post(executor, [weak] {
-        if (const auto self = weak.lock()) self->Pump();
-      });
-    });
+    subscription_ =
+        site_->region().events().Subscribe([weak = weak_from_this(), executor = executor_] {
+          boost::asio::post(executor, [weak] {
+            if (const auto self = weak.lock()) self->Pump();
+          });
+        });
     Pump();
     std::lock_guard lock(mutex_);
     ArmHeartbeat();

@@ -69,9 +69,10 @@ absl::StatusOr<FloorPlan> SliceFloorPlan(const octomap::OcTree& octree, double m
     y.Extend(cube.y, cube.y + cube.size);
   });
   if (x.begin >= x.end) {
-    return absl::InvalidArgumentError(absl::StrFormat(
-        "nothing is known of the building between the heights %g m and %g m, so it has no floor plan",
-        min_height_m, max_height_m));
+    return absl::InvalidArgumentError(
+        absl::StrFormat("nothing is known of the building between the heights %g m and %g m, so it "
+                        "has no floor plan",
+                        min_height_m, max_height_m));
   }
   const int width = x.end - x.begin;
   const int height = y.end - y.begin;

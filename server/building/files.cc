@@ -51,8 +51,9 @@ absl::StatusOr<std::vector<Eigen::Vector3d>> OccupiedPoints(const octomap::OcTre
     const int level = kDepth - static_cast<int>(leaf.getDepth());
     if (octree.isNodeOccupied(*leaf)) count += std::uint64_t{1} << (3 * level);
     if (count > kMaxExportPoints) {
-      return absl::FailedPreconditionError(absl::StrCat(
-          "the building has more than ", kMaxExportPoints, " occupied voxels, too many for points"));
+      return absl::FailedPreconditionError(absl::StrCat("the building has more than ",
+                                                        kMaxExportPoints,
+                                                        " occupied voxels, too many for points"));
     }
   }
   std::vector<Eigen::Vector3d> points;

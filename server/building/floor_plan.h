@@ -1,16 +1,16 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <vector>
-
-#include <Eigen/Core>
 
 namespace soundmap::building {
 
 enum class Cell : std::uint8_t { kUnknown = 0, kFree = 1, kOccupied = 2 };
 
-// The 2D map of section II-A: a horizontal slice of the building, flattened. Row-major, x fastest; the corner of cell (0, 0) with the smallest
-// coordinates lies at `origin_in_map_m`. Axis-aligned with `map`. Unknown is not free.
+// The 2D map of section II-A: a horizontal slice of the building, flattened. Row-major, x fastest;
+// the corner of cell (0, 0) with the smallest coordinates lies at `origin_in_map_m`. Axis-aligned
+// with `map`. Unknown is not free.
 class FloorPlan {
  public:
   FloorPlan() = default;
@@ -29,7 +29,9 @@ class FloorPlan {
   bool Contains(int column, int row) const {
     return column >= 0 && row >= 0 && column < width_ && row < height_;
   }
-  Cell at(int column, int row) const { return cells_[static_cast<std::size_t>(row) * width_ + column]; }
+  Cell at(int column, int row) const {
+    return cells_[static_cast<std::size_t>(row) * width_ + column];
+  }
   Cell& at(int column, int row) { return cells_[static_cast<std::size_t>(row) * width_ + column]; }
   const std::vector<Cell>& cells() const { return cells_; }
 

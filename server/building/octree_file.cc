@@ -1,6 +1,8 @@
 #include "building/octree_file.h"
 
 #include <bit>
+#include <boost/iostreams/device/array.hpp>
+#include <boost/iostreams/stream.hpp>
 #include <charconv>
 #include <cmath>
 #include <cstdint>
@@ -8,9 +10,6 @@
 #include <optional>
 #include <sstream>
 #include <vector>
-
-#include <boost/iostreams/device/array.hpp>
-#include <boost/iostreams/stream.hpp>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -103,8 +102,9 @@ absl::Status Truncated() { return absl::InvalidArgumentError("the octree's data 
 
 absl::Status Damaged() { return absl::InvalidArgumentError("the octree's data is damaged"); }
 
-// Walks the tree in the order of the file, depth first: one entry of `inner_children` for each level that is open, with the number of inner
-// nodes of it that are still to come. `read_node` returns that number for the next inner node and adds to the count of nodes.
+// Walks the tree in the order of the file, depth first: one entry of `inner_children` for each
+// level that is open, with the number of inner nodes of it that are still to come. `read_node`
+// returns that number for the next inner node and adds to the count of nodes.
 template <typename ReadNode>
 absl::Status WalkInnerNodes(const Header& header, ReadNode read_node) {
   std::uint64_t nodes = 1;
@@ -116,8 +116,7 @@ absl::Status WalkInnerNodes(const Header& header, ReadNode read_node) {
     }
     --inner_children.back();
     // The root is at depth 0, and what is read here at the depth of the open levels above it.
-    const absl::StatusOr<int> below =
-        read_node(static_cast<int>(inner_children.size()) - 1, nodes);
+    const absl::StatusOr<int> below = read_node(static_cast<int>(inner_children.size()) - 1, nodes);
     if (!below.ok()) return below.status();
     if (nodes > header.nodes) return Damaged();
     inner_children.push_back(*below);
@@ -128,41 +127,40 @@ absl::Status WalkInnerNodes(const Header& header, ReadNode read_node) {
 // `.bt`: two bits for each of an inner node's children: 00 unknown, 01 free, 10 occupied, 11 inner.
 absl::Status CheckBinaryData(const Header& header, std::string_view data) {
   std::size_t position = 0;
-  return WalkInnerNodes(
-      header, [&](int depth, std::uint64_t& nodes) -> absl::StatusOr<int> {
-        if (depth >= kDepth) return Damaged();
-        if (data.size() - position < 2) return Truncated();
-        const unsigned children = static_cast<unsigned char>(data[position]) |
-                                  static_cast<unsigned char>(data[position + 1]) << 8;
-        position += 2;
-        if (children == 0) return Damaged();
-        const unsigned low = children & 0x5555u;
-        const unsigned high = children >> 1 & 0x5555u;
-        nodes += std::popcount(low | high);
-        return std::popcount(low & high);
-      });
+  return WalkInnerNodes(header, [&](int depth, std::uint64_t& nodes) -> absl::StatusOr<int> {
+    if (depth >= kDepth) return Damaged();
+    if (data.size() - position < 2) return Truncated();
+    const unsigned children = static_cast<unsigned char>(data[position]) |
+                              static_cast<unsigned char>(data[position + 1]) << 8;
+    position += 2;
+    if (children == 0) return Damaged();
+    const unsigned low = children & 0x5555u;
+    const unsigned high = children >> 1 & 0x5555u;
+    nodes += std::popcount(low | high);
+    return std::popcount(low & high);
+  });
 }
 
 // `.ot`: each node's log-odds as float, then a bit for each child that exists.
 absl::Status CheckFullData(const Header& header, std::string_view data) {
   std::size_t position = 0;
-  return WalkInnerNodes(
-      header, [&](int depth, std::uint64_t& nodes) -> absl::StatusOr<int> {
-        if (data.size() - position < 5) return Truncated();
-        float log_odds;
-        std::memcpy(&log_odds, data.data() + position, sizeof log_odds);
-        const unsigned children = static_cast<unsigned char>(data[position + 4]);
-        position += 5;
-        if (!std::isfinite(log_odds)) {
-          return absl::InvalidArgumentError("the octree has log-odds that are not finite");
-        }
-        if (children != 0 && depth >= kDepth) return Damaged();
-        nodes += std::popcount(children);
-        return std::popcount(children);
-      });
+  return WalkInnerNodes(header, [&](int depth, std::uint64_t& nodes) -> absl::StatusOr<int> {
+    if (data.size() - position < 5) return Truncated();
+    float log_odds;
+    std::memcpy(&log_odds, data.data() + position, sizeof log_odds);
+    const unsigned children = static_cast<unsigned char>(data[position + 4]);
+    position += 5;
+    if (!std::isfinite(log_odds)) {
+      return absl::InvalidArgumentError("the octree has log-odds that are not finite");
+    }
+    if (children != 0 && depth >= kDepth) return Damaged();
+    nodes += std::popcount(children);
+    return std::popcount(children);
+  });
 }
 
-// As OctoMap's write() and writeBinaryConst(), which report to standard error and shorten the voxel size to six digits.
+// As OctoMap's write() and writeBinaryConst(), which report to standard error and shorten the voxel
+// size to six digits.
 std::string HeaderText(std::string_view magic, const octomap::OcTree& octree) {
   char voxel_size_m[32];
   const auto [end, error] =
@@ -170,8 +168,8 @@ std::string HeaderText(std::string_view magic, const octomap::OcTree& octree) {
   return absl::StrCat(View(magic),
                       "\n# (feel free to add / change comments, but leave the first line as it is!)"
                       "\n#\nid OcTree\nsize ",
-                      octree.size(), "\nres ",
-                      absl::string_view(voxel_size_m, end - voxel_size_m), "\ndata\n");
+                      octree.size(), "\nres ", absl::string_view(voxel_size_m, end - voxel_size_m),
+                      "\ndata\n");
 }
 
 }  // namespace

@@ -18,7 +18,8 @@ using geometry::VoxelKey;
 
 octomap::OcTreeKey ToOctomap(const VoxelKey& key) { return {key.x, key.y, key.z}; }
 
-// Unknown runs of at most `max_cells` between two free cells of a line become free. `cell(i)` is the line's i-th cell.
+// Unknown runs of at most `max_cells` between two free cells of a line become free. `cell(i)` is
+// the line's i-th cell.
 template <typename CellAt>
 void FillGaps(int length, int max_cells, CellAt cell) {
   int last_free = -1;
@@ -107,8 +108,8 @@ std::vector<VoxelKey> AirAboveFloor(const std::vector<VoxelKey>& occupied,
   for (std::size_t i = 0; i < occupied.size(); ++i) {
     const VoxelKey& below = occupied[i];
     if (below.z < floor_min || below.z > floor_max) continue;
-    const bool covered = i + 1 < occupied.size() && occupied[i + 1].x == below.x &&
-                         occupied[i + 1].y == below.y;
+    const bool covered =
+        i + 1 < occupied.size() && occupied[i + 1].x == below.x && occupied[i + 1].y == below.y;
     const int end = covered ? occupied[i + 1].z : air_max + 1;
     for (int z = below.z + 1; z < end; ++z) {
       air.push_back({below.x, below.y, static_cast<std::uint16_t>(z)});
@@ -168,7 +169,8 @@ absl::StatusOr<Building> BuildingFromPoints(std::span<const Eigen::Vector3d> poi
   }
   if (!HasFreeCell(*plan)) {
     return absl::InvalidArgumentError(absl::StrFormat(
-        "the point cloud shows neither a floor at the height %g m nor a closed outline between %g m "
+        "the point cloud shows neither a floor at the height %g m nor a closed outline between %g "
+        "m "
         "and %g m, so nothing of it is known to be free",
         config.floor_height_m, config.slice_min_height_m, config.slice_max_height_m));
   }

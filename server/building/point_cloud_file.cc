@@ -19,7 +19,18 @@ constexpr std::size_t kMaxHeaderBytes = 64 << 10;
 constexpr std::uint64_t kMaxPoints = 200'000'000;
 constexpr std::size_t kMaxRecordBytes = 64 << 10;
 
-enum class NumberType { kInt8, kUint8, kInt16, kUint16, kInt32, kUint32, kInt64, kUint64, kFloat32, kFloat64 };
+enum class NumberType {
+  kInt8,
+  kUint8,
+  kInt16,
+  kUint16,
+  kInt32,
+  kUint32,
+  kInt64,
+  kUint64,
+  kFloat32,
+  kFloat64
+};
 
 std::size_t SizeOf(NumberType type) {
   switch (type) {
@@ -100,11 +111,11 @@ struct Layout {
     if (!axes[0] || !axes[1] || !axes[2]) {
       return absl::InvalidArgumentError("the point cloud's points lack x, y or z");
     }
-    if (!points) return absl::InvalidArgumentError("the point cloud's header lacks its point count");
+    if (!points)
+      return absl::InvalidArgumentError("the point cloud's header lacks its point count");
     if (*points > kMaxPoints) {
-      return absl::InvalidArgumentError(absl::StrCat("the point cloud claims ", *points,
-                                                     " points, more than the limit of ",
-                                                     kMaxPoints));
+      return absl::InvalidArgumentError(absl::StrCat(
+          "the point cloud claims ", *points, " points, more than the limit of ", kMaxPoints));
     }
     if (record_bytes > kMaxRecordBytes) {
       return absl::InvalidArgumentError("the point cloud's points have too many fields");
@@ -146,7 +157,8 @@ class Lines {
   std::optional<absl::string_view> Next() {
     while (position_ < text_.size()) {
       const std::size_t end = std::min(text_.find('\n', position_), text_.size());
-      const absl::string_view line = absl::StripAsciiWhitespace(text_.substr(position_, end - position_));
+      const absl::string_view line =
+          absl::StripAsciiWhitespace(text_.substr(position_, end - position_));
       position_ = std::min(end + 1, text_.size());
       if (!line.empty()) return line;
     }

@@ -40,8 +40,7 @@ absl::StatusOr<Value> Field(const YAML::Node& parent, const char* name) {
   try {
     return parent[name].as<Value>();
   } catch (const YAML::Exception&) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("the map's YAML lacks a proper '", name, "'"));
+    return absl::InvalidArgumentError(absl::StrCat("the map's YAML lacks a proper '", name, "'"));
   }
 }
 
@@ -66,8 +65,7 @@ absl::StatusOr<MapMetadata> ParseMetadata(std::string_view yaml) {
     if (!status.ok()) return status;
   }
   if (!(*resolution_m >= 0.005 && *resolution_m <= 1.0)) {
-    return absl::InvalidArgumentError(
-        "the map's resolution in its YAML is outside 0.005 to 1 m");
+    return absl::InvalidArgumentError("the map's resolution in its YAML is outside 0.005 to 1 m");
   }
   if (origin->size() != 3 || !std::isfinite((*origin)[0]) || !std::isfinite((*origin)[1])) {
     return absl::InvalidArgumentError("the map's origin in its YAML is not [x, y, yaw]");
@@ -110,8 +108,7 @@ std::optional<int> NextNumber(std::string_view pgm, std::size_t& position) {
     }
   }
   int number = 0;
-  const auto [end, error] =
-      std::from_chars(pgm.data() + position, pgm.data() + pgm.size(), number);
+  const auto [end, error] = std::from_chars(pgm.data() + position, pgm.data() + pgm.size(), number);
   if (error != std::errc()) return std::nullopt;
   position = end - pgm.data();
   return number;
@@ -131,9 +128,9 @@ absl::StatusOr<Picture> ParsePgm(std::string_view pgm) {
   }
   const std::int64_t cells = std::int64_t{*width} * *height;
   if (cells > kMaxCells) {
-    return absl::InvalidArgumentError(absl::StrFormat(
-        "the map's picture has %d x %d cells, more than the limit of %d", *width, *height,
-        kMaxCells));
+    return absl::InvalidArgumentError(
+        absl::StrFormat("the map's picture has %d x %d cells, more than the limit of %d", *width,
+                        *height, kMaxCells));
   }
   ++position;  // the one separator after the header
   if (position > pgm.size() || static_cast<std::int64_t>(pgm.size() - position) < cells) {

@@ -28,7 +28,8 @@ void Append(std::string& bytes, Number number) {
   bytes.append(reinterpret_cast<const char*>(&number), sizeof number);
 }
 
-// Takes the next bytes off the front; once they do not suffice, everything is zero and ok() is false.
+// Takes the next bytes off the front; once they do not suffice, everything is zero and ok() is
+// false.
 class Cursor {
  public:
   explicit Cursor(std::string_view bytes) : rest_(bytes) {}
@@ -144,7 +145,8 @@ absl::StatusOr<Building> ParseBuilding(std::string_view bytes) {
   building.floor_plan = FloorPlan(width, height, cell_size_m, Eigen::Vector2d(x_m, y_m));
   for (int row = 0; row < height; ++row) {
     for (int column = 0; column < width; ++column) {
-      const auto cell = static_cast<std::uint8_t>(cells[static_cast<std::size_t>(row) * width + column]);
+      const auto cell =
+          static_cast<std::uint8_t>(cells[static_cast<std::size_t>(row) * width + column]);
       if (cell > static_cast<std::uint8_t>(Cell::kOccupied)) return Damaged();
       building.floor_plan.at(column, row) = static_cast<Cell>(cell);
     }

@@ -20,8 +20,8 @@ absl::Status Calibration::Validate() const {
   const int microphones = static_cast<int>(mic_in_array_m.size());
   if (microphones == 0) return absl::OkStatus();
   if (microphones < 2 || microphones > 64) {
-    return absl::InvalidArgumentError(absl::StrCat("the calibration has ", microphones,
-                                                   " microphone(s); an array has 2 to 64"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("the calibration has ", microphones, " microphone(s); an array has 2 to 64"));
   }
   for (int a = 0; a < microphones; ++a) {
     if (!mic_in_array_m[a].allFinite()) {

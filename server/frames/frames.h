@@ -1,12 +1,11 @@
 #pragma once
 
+#include <Eigen/Geometry>
 #include <cstdint>
 #include <optional>
 #include <span>
 #include <variant>
 #include <vector>
-
-#include <Eigen/Geometry>
 
 #include "absl/status/status.h"
 #include "geometry/pose.h"
@@ -16,7 +15,9 @@ namespace soundmap::frames {
 // Capture time, nanoseconds since the Unix epoch, on the robot's clock.
 using TimeNs = std::int64_t;
 
-constexpr double SecondsFromNs(TimeNs duration_ns) { return static_cast<double>(duration_ns) * 1e-9; }
+constexpr double SecondsFromNs(TimeNs duration_ns) {
+  return static_cast<double>(duration_ns) * 1e-9;
+}
 constexpr TimeNs NsFromSeconds(double duration_s) { return static_cast<TimeNs>(duration_s * 1e9); }
 
 // Some samples of every microphone.
@@ -29,7 +30,8 @@ struct AudioBlock {
   int samples_per_channel() const { return static_cast<int>(samples.size()) / channels; }
 };
 
-// One turn of the 3D LIDAR. A point that is not finite or lies at the origin is "no return" and is left out when the scan is made.
+// One turn of the 3D LIDAR. A point that is not finite or lies at the origin is "no return" and is
+// left out when the scan is made.
 struct LidarScan {
   TimeNs stamp_ns = 0;
   std::vector<Eigen::Vector3f> point_in_lidar;
@@ -59,12 +61,13 @@ struct Calibration {
   Eigen::Isometry3d base_from_array = Eigen::Isometry3d::Identity();
   Eigen::Isometry3d base_from_lidar = Eigen::Isometry3d::Identity();
   Eigen::Isometry3d base_from_laser = Eigen::Isometry3d::Identity();
-  std::vector<Eigen::Vector3d> mic_in_array_m;  // in channel order; empty: the robot has no microphones
-  double laser_time_increment_s = 0.0;          // 0: a laser scan is instantaneous
-  int audio_sample_rate_hz = 0;                 // 0: no audio
+  std::vector<Eigen::Vector3d>
+      mic_in_array_m;                   // in channel order; empty: the robot has no microphones
+  double laser_time_increment_s = 0.0;  // 0: a laser scan is instantaneous
+  int audio_sample_rate_hz = 0;         // 0: no audio
 
-  // InvalidArgument: a number that is not finite, 1 or more than 64 microphones, two at one place, a sample rate outside 8 .. 192 kHz
-  // where there are microphones.
+  // InvalidArgument: a number that is not finite, 1 or more than 64 microphones, two at one place,
+  // a sample rate outside 8 .. 192 kHz where there are microphones.
   absl::Status Validate() const;
 };
 

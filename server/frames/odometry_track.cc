@@ -9,7 +9,8 @@ namespace {
 // How far beyond its ends the odometry may be held constant for a LIDAR point.
 constexpr double kHoldLimit_s = 0.2;
 
-// Points of one sweep share a transform within this time; a robot turning at 1 rad/s moves by 0.06 degrees meanwhile.
+// Points of one sweep share a transform within this time; a robot turning at 1 rad/s moves by 0.06
+// degrees meanwhile.
 constexpr TimeNs kSameTime_ns = 1'000'000;
 
 bool IsFinite(const geometry::Pose2& pose) {

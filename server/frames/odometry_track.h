@@ -7,8 +7,9 @@
 
 namespace soundmap::frames {
 
-// The recent odometry of one robot, to be asked for the pose at any time in it. Time runs forwards: an entry that is not newer than
-// the last one is refused. Bounded: entries older than `keep_s` before the newest are forgotten.
+// The recent odometry of one robot, to be asked for the pose at any time in it. Time runs forwards:
+// an entry that is not newer than the last one is refused. Bounded: entries older than `keep_s`
+// before the newest are forgotten.
 class OdometryTrack {
  public:
   explicit OdometryTrack(double keep_s = 30.0) : keep_ns_(NsFromSeconds(keep_s)) {}
@@ -32,8 +33,9 @@ class OdometryTrack {
   std::deque<Odometry> entries_;
 };
 
-// The points of a scan as if all had been taken at `reference_ns`, in base_link at that time: each is moved by the odometry between its
-// own time and the reference. None if the track does not cover the scan within 0.2 s.
+// The points of a scan as if all had been taken at `reference_ns`, in base_link at that time: each
+// is moved by the odometry between its own time and the reference. None if the track does not cover
+// the scan within 0.2 s.
 std::optional<std::vector<Eigen::Vector3f>> PointsInBaseAt(const LidarScan& scan,
                                                            const Eigen::Isometry3d& base_from_lidar,
                                                            const OdometryTrack& track,

@@ -1,12 +1,12 @@
 #pragma once
 
-#include <vector>
-
 #include <Eigen/Core>
+#include <vector>
 
 namespace soundmap::geometry {
 
-// Azimuth theta, counter-clockwise from x, and elevation phi, up from the x-y plane: section V's v_a(i).
+// Azimuth theta, counter-clockwise from x, and elevation phi, up from the x-y plane: section V's
+// v_a(i).
 Eigen::Vector3d DirectionFromAngles(double azimuth_rad, double elevation_rad);
 
 struct DirectionAngles {
@@ -18,13 +18,13 @@ DirectionAngles AnglesFromDirection(const Eigen::Vector3d& direction);
 // Candidate directions: unit vectors, none twice.
 class DirectionGrid {
  public:
-  // The paper's grid: all pairs of azimuth and elevation, both limits included. A pole, where every azimuth is one direction, stands once.
-  // The steps must be positive and the limits in order.
+  // The paper's grid: all pairs of azimuth and elevation, both limits included. A pole, where every
+  // azimuth is one direction, stands once. The steps must be positive and the limits in order.
   static DirectionGrid Sector(double azimuth_min_rad, double azimuth_max_rad,
-                              double elevation_min_rad, double elevation_max_rad,
-                              double step_rad);
+                              double elevation_min_rad, double elevation_max_rad, double step_rad);
 
-  // Equal-area directions on the whole sphere (Fibonacci lattice), one per `spacing_rad` squared: 10 313 at 2 degrees.
+  // Equal-area directions on the whole sphere (Fibonacci lattice), one per `spacing_rad` squared:
+  // 10 313 at 2 degrees.
   static DirectionGrid EqualArea(double spacing_rad);
 
   explicit DirectionGrid(std::vector<Eigen::Vector3d> directions, double spacing_rad)

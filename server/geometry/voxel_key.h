@@ -1,15 +1,15 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cmath>
 #include <cstdint>
 #include <functional>
 #include <optional>
 
-#include <Eigen/Core>
-
 namespace soundmap::geometry {
 
-// OctoMap's key at the lowest of its 16 levels: voxel k spans [(k - 32768) * size, (k - 32767) * size) on its axis.
+// OctoMap's key at the lowest of its 16 levels: voxel k spans [(k - 32768) * size, (k - 32767) *
+// size) on its axis.
 struct VoxelKey {
   static constexpr int kCentre = 32768;
 

@@ -4,12 +4,11 @@
 
 #include <algorithm>
 #include <array>
+#include <boost/unordered/unordered_flat_map.hpp>
 #include <cmath>
 #include <cstdint>
 #include <deque>
 #include <utility>
-
-#include <boost/unordered/unordered_flat_map.hpp>
 
 #include "absl/strings/str_cat.h"
 #include "frames/odometry_track.h"
@@ -25,11 +24,15 @@ using frames::SecondsFromNs;
 using frames::TimeNs;
 using geometry::Pose2;
 
-// Scans that wait for the odometry of their end; more than this and the odometry is taken to have ended.
+// Scans that wait for the odometry of their end; more than this and the odometry is taken to have
+// ended.
 constexpr std::size_t kMaxWaitingScans = 32;
 // Stamps up to the year 2116, so that sums of them do not overflow.
 constexpr TimeNs kMaxStamp_ns = TimeNs{1} << 62;
 constexpr double kHoldOdometry_s = 0.2;
+// Odometry of two stamps close together may differ by this without being a fault.
+constexpr double kJitter_m = 0.05;
+constexpr double kJitter_rad = 0.05;
 
 // A sweep is cut into so many parts of equal time; the LIDAR's place is one for each.
 constexpr int kSweepParts = 16;
@@ -52,10 +55,10 @@ constexpr double kPriorOfStep = 0.2;
 
 constexpr double kPlace_m = 1.0;
 
-// Bounds of the ray's part that grazes its surface.
+// At most so much of a ray is taken to graze its surface.
 constexpr double kMaxMargin_m = 1.0;
 
-// A LIDAR below this height of the LRF is one without an LRF.
+// An LRF mounted lower than this is none.
 constexpr double kMinLaserHeight_m = 0.05;
 
 struct WaitingScan {
@@ -87,9 +90,7 @@ bool IsFinite(const Pose2& pose) {
   return std::isfinite(pose.x_m) && std::isfinite(pose.y_m) && std::isfinite(pose.yaw_rad);
 }
 
-double Distance(const Pose2& a, const Pose2& b) {
-  return std::hypot(a.x_m - b.x_m, a.y_m - b.y_m);
-}
+double Distance(const Pose2& a, const Pose2& b) { return std::hypot(a.x_m - b.x_m, a.y_m - b.y_m); }
 
 std::vector<Eigen::Vector3f> Select(std::span<const Eigen::Vector3f> points,
                                     std::span<const std::uint32_t> indices) {
@@ -128,7 +129,8 @@ absl::Status MapperConfig::Validate() const {
         "the mapping's slice must be within 100 m of the floor and at most 10 m thick");
   }
   if (!within(surface_voxel_size_m, 0.05, 2.0)) {
-    return absl::InvalidArgumentError("the mapping's surface_voxel_size_m must be from 0.05 to 2 m");
+    return absl::InvalidArgumentError(
+        "the mapping's surface_voxel_size_m must be from 0.05 to 2 m");
   }
   if (!within(key_scan_distance_m, 0.0, 10.0) || !within(key_scan_angle_rad, 0.0, 4.0) ||
       key_scans_per_place < 1 || key_scans_per_place > 1000) {
@@ -163,6 +165,7 @@ class Mapper::Drive {
  private:
   using Progress = std::function<bool(double)>;
 
+  bool IsSound(const Pose2& step, TimeNs duration_ns) const;
   void ProcessWaiting(bool all);
   void Process(const WaitingScan& waiting);
   Pose2 Predict(TimeNs stamp_ns, const Pose2& odom_from_base, bool& odometry_is_sound) const;
@@ -193,6 +196,9 @@ class Mapper::Drive {
 
   frames::OdometryTrack track_;
   std::optional<Pose2> first_odom_from_base_;
+  // The last step of the odometry that no robot can take.
+  TimeNs jump_begin_ns_ = 0;
+  TimeNs jump_end_ns_ = 0;
   std::deque<WaitingScan> waiting_;
   SurfaceMap surfaces_;
   std::vector<PathEntry> path_;
@@ -208,7 +214,14 @@ absl::Status Mapper::Drive::Add(const frames::Odometry& odometry) {
   if (odometry.stamp_ns < 0 || odometry.stamp_ns > kMaxStamp_ns) {
     return absl::InvalidArgumentError("an odometry frame's stamp is out of range");
   }
+  const std::optional<frames::Odometry> before =
+      track_.empty() ? std::nullopt : std::optional(track_.entries().back());
   if (!track_.Add(odometry)) return absl::OkStatus();
+  if (before && !IsSound(before->odom_from_base.Inverse() * odometry.odom_from_base,
+                         odometry.stamp_ns - before->stamp_ns)) {
+    jump_begin_ns_ = before->stamp_ns;
+    jump_end_ns_ = odometry.stamp_ns;
+  }
   if (!first_odom_from_base_) first_odom_from_base_ = odometry.odom_from_base;
   while (surveyed_passed_ < surveyed_.size() &&
          surveyed_[surveyed_passed_].pose.stamp_ns <= odometry.stamp_ns) {
@@ -268,14 +281,16 @@ void Mapper::Drive::Process(const WaitingScan& waiting) {
   PathEntry entry;
   entry.stamp_ns = waiting.scan.stamp_ns + (waiting.end_ns - waiting.scan.stamp_ns) / 2;
   const auto odom_from_base = track_.Near(entry.stamp_ns, kHoldOdometry_s);
-  const auto points = frames::PointsInBaseAt(waiting.scan, calibration_.base_from_lidar, track_,
-                                             entry.stamp_ns);
+  const auto points =
+      frames::PointsInBaseAt(waiting.scan, calibration_.base_from_lidar, track_, entry.stamp_ns);
   if (!odom_from_base || !points) {
     ++report_.scans_dropped;
     ++scans_without_odometry_;
     return;
   }
-  if (!path_.empty() && entry.stamp_ns <= path_.back().stamp_ns) {
+  // A sweep in which the odometry jumped is bent beyond use.
+  const bool bent = waiting.scan.stamp_ns < jump_end_ns_ && waiting.end_ns > jump_begin_ns_;
+  if (bent || (!path_.empty() && entry.stamp_ns <= path_.back().stamp_ns)) {
     ++report_.scans_dropped;
     return;
   }
@@ -292,7 +307,8 @@ void Mapper::Drive::Process(const WaitingScan& waiting) {
       entry.map_from_base = registration.map_from_base;
     } else {
       ++report_.scans_unregistered;
-      // By odometry where nothing speaks against it: a new part of the building, or one without walls.
+      // By odometry where nothing speaks against it: a new part of the building, or one without
+      // walls.
       placed = odometry_is_sound && registration.constraints < kMinInliers;
     }
   }
@@ -308,15 +324,20 @@ void Mapper::Drive::Process(const WaitingScan& waiting) {
   path_.push_back(entry);
 }
 
+bool Mapper::Drive::IsSound(const Pose2& step, TimeNs duration_ns) const {
+  const double duration_s = SecondsFromNs(duration_ns);
+  return std::hypot(step.x_m, step.y_m) <= config_.max_speed_mps * duration_s + kJitter_m &&
+         std::abs(step.yaw_rad) <= config_.max_turn_rate_radps * duration_s + kJitter_rad;
+}
+
 Pose2 Mapper::Drive::Predict(TimeNs stamp_ns, const Pose2& odom_from_base,
                              bool& odometry_is_sound) const {
-  if (path_.empty()) return start_map_from_base_ * first_odom_from_base_->Inverse() * odom_from_base;
+  if (path_.empty()) {
+    return start_map_from_base_ * first_odom_from_base_->Inverse() * odom_from_base;
+  }
   const PathEntry& last = path_.back();
   const Pose2 last_from_base = last.odom_from_base.Inverse() * odom_from_base;
-  const double elapsed_s = SecondsFromNs(stamp_ns - last.stamp_ns);
-  odometry_is_sound =
-      std::hypot(last_from_base.x_m, last_from_base.y_m) <= config_.max_speed_mps * elapsed_s + 0.05 &&
-      std::abs(last_from_base.yaw_rad) <= config_.max_turn_rate_radps * elapsed_s + 0.05;
+  odometry_is_sound = IsSound(last_from_base, stamp_ns - last.stamp_ns);
   return odometry_is_sound ? last.map_from_base * last_from_base : last.map_from_base;
 }
 
@@ -332,7 +353,8 @@ Registration Mapper::Drive::Align(std::span<const Eigen::Vector3f> point_in_base
                          .prior_std_rad = kPriorMin_rad + kPriorOfStep * step_rad};
   Registration best = Register(point_in_base, surfaces_, predicted, near);
   if (!odometry_is_sound || best.fit() < kGoodFit || best.overlap < kGoodOverlap) {
-    // The odometry may have jumped or slipped: search wider, and from where the robot would be if it had stood or gone on as before.
+    // The odometry may have jumped or slipped: search wider, and from where the robot would be if
+    // it had stood or gone on as before.
     std::vector<Pose2> starts = {predicted, last.map_from_base};
     if (path_.size() >= 2) {
       const PathEntry& before = path_[path_.size() - 2];
@@ -385,8 +407,7 @@ KeyScan Mapper::Drive::MakeKeyScan(const frames::LidarScan& scan, TimeNs end_ns,
   key_scan.part.reserve(indices.size());
   for (const std::uint32_t i : indices) {
     const TimeNs offset_ns = scan.time_offset_ns.empty() ? 0 : TimeNs{scan.time_offset_ns[i]};
-    key_scan.part.push_back(
-        static_cast<std::uint8_t>(offset_ns * kSweepParts / (duration_ns + 1)));
+    key_scan.part.push_back(static_cast<std::uint8_t>(offset_ns * kSweepParts / (duration_ns + 1)));
   }
   for (int part = 0; part < kSweepParts; ++part) {
     const TimeNs middle_ns = scan.stamp_ns + duration_ns * (2 * part + 1) / (2 * kSweepParts);
@@ -401,9 +422,8 @@ KeyScan Mapper::Drive::MakeKeyScan(const frames::LidarScan& scan, TimeNs end_ns,
 
 std::vector<Eigen::Vector3f> Mapper::Drive::PointsToAlign(
     std::span<const Eigen::Vector3f> point_in_base) const {
-  return Select(point_in_base,
-                FirstPointPerCube(point_in_base,
-                                  kAlignedPoints_voxels * config_.surface_voxel_size_m));
+  return Select(point_in_base, FirstPointPerCube(point_in_base, kAlignedPoints_voxels *
+                                                                    config_.surface_voxel_size_m));
 }
 
 SurfaceMap Mapper::Drive::MapOfKeyScans() const {
@@ -415,7 +435,8 @@ SurfaceMap Mapper::Drive::MapOfKeyScans() const {
   return surfaces;
 }
 
-// Between two surveyed poses the robot moves as its odometry says, and what is left at the second is spread over the way in time.
+// Between two surveyed poses the robot moves as its odometry says, and what is left at the second
+// is spread over the way in time.
 absl::Status Mapper::Drive::ApplySurveyedPoses() {
   std::vector<bool> placed(path_.size(), false);
   for (std::size_t i = 0; i < path_.size(); ++i) {
@@ -436,8 +457,7 @@ absl::Status Mapper::Drive::ApplySurveyedPoses() {
                             static_cast<double>(end.pose.stamp_ns - begin.pose.stamp_ns);
     if (begin.odom_from_base && end.odom_from_base) {
       const Pose2 map_from_odom = begin.pose.map_from_base * begin.odom_from_base->Inverse();
-      const Pose2 left =
-          (map_from_odom * *end.odom_from_base).Inverse() * end.pose.map_from_base;
+      const Pose2 left = (map_from_odom * *end.odom_from_base).Inverse() * end.pose.map_from_base;
       entry.map_from_base =
           map_from_odom * entry.odom_from_base * geometry::Interpolate(Pose2{}, left, fraction);
     } else {
@@ -472,7 +492,8 @@ absl::Status Mapper::Drive::ApplySurveyedPoses() {
   return absl::OkStatus();
 }
 
-// Aligns every key scan to the map of all of them, with the first as the anchor; then the scans between follow theirs.
+// Aligns every key scan to the map of all of them, with the first as the anchor; then the scans
+// between follow theirs.
 absl::Status Mapper::Drive::Relax(const Progress& progress) {
   const absl::Status cancelled = absl::CancelledError("the mapping was cancelled");
   const std::vector<PathEntry> before = path_;
@@ -515,8 +536,7 @@ absl::StatusOr<std::shared_ptr<octomap::OcTree>> Mapper::Drive::CastRays(
   std::vector<Ray> rays;
   for (std::size_t i = 0; i < key_scans_.size(); ++i) {
     const KeyScan& key_scan = key_scans_[i];
-    const std::vector<Eigen::Vector3f> ends =
-        Transform(PoseOf(key_scan), key_scan.point_in_base);
+    const std::vector<Eigen::Vector3f> ends = Transform(PoseOf(key_scan), key_scan.point_in_base);
     const std::vector<Eigen::Vector3f> origins =
         Transform(PoseOf(key_scan), key_scan.lidar_in_base);
     rays.clear();
@@ -555,14 +575,13 @@ absl::Status Mapper::Drive::NothingToMap() const {
     return absl::InvalidArgumentError("the mapping drive has no odometry");
   }
   if (scans_without_points_ == report_.scans) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("none of the mapping drive's ", report_.scans, " LIDAR scans has a point from ",
-                     config_.min_range_m, " to ", config_.max_range_m, " m"));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "none of the mapping drive's ", report_.scans, " LIDAR scans has a point from ",
+        config_.min_range_m, " to ", config_.max_range_m, " m"));
   }
   return absl::InvalidArgumentError(
-      absl::StrCat("none of the mapping drive's ", report_.scans,
-                   " LIDAR scans could be used; ", scans_without_odometry_,
-                   " were taken at a time without odometry"));
+      absl::StrCat("none of the mapping drive's ", report_.scans, " LIDAR scans could be used; ",
+                   scans_without_odometry_, " were taken at a time without odometry"));
 }
 
 absl::StatusOr<MappingResult> Mapper::Drive::Finish(const Progress& progress) {

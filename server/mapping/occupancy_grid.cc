@@ -23,7 +23,8 @@ int CellInBlock(int x, int y, int z) {
 
 int Steps(double log_odds) { return static_cast<int>(std::lround(log_odds / kStep_log_odds)); }
 
-// Bits of the three numbers interleaved: neighbours in space are neighbours in order, which OctoMap inserts fast.
+// Bits of the three numbers interleaved: neighbours in space are neighbours in order, which OctoMap
+// inserts fast.
 std::uint64_t MortonCode(const geometry::VoxelKey& key) {
   const auto spread = [](std::uint64_t bits) {
     bits = (bits | bits << 16) & 0x0000ff0000ffu;
@@ -39,7 +40,8 @@ std::uint64_t MortonCode(const geometry::VoxelKey& key) {
 struct OccupancyGrid::Block {
   struct Cell {
     std::int16_t log_odds = 0;
-    // The scan that touched the voxel last, 0: none, unknown. Counted in a circle, so after 65535 scans a voxel may miss one update.
+    // The scan that touched the voxel last, 0: none, unknown. Counted in a circle, so after 65535
+    // scans a voxel may miss one update.
     std::uint16_t scan = 0;
   };
 
@@ -95,7 +97,8 @@ inline void OccupancyGrid::Update(Block& block, int x, int y, int z, int change)
   cell.log_odds = static_cast<std::int16_t>(std::clamp(cell.log_odds + change, min_, max_));
 }
 
-// Marks the voxels on the way as missed, by exact traversal (Amanatides and Woo). False when the map is full.
+// Marks the voxels on the way as missed, by exact traversal (Amanatides and Woo). False when the
+// map is full.
 bool OccupancyGrid::CastFree(const Ray& ray) {
   const Eigen::Vector3d origin = ray.origin_in_map.cast<double>() / voxel_size_m_;
   const Eigen::Vector3d way = ray.end_in_map.cast<double>() / voxel_size_m_ - origin;
@@ -104,7 +107,8 @@ bool OccupancyGrid::CastFree(const Ray& ray) {
   if (!(end > 0.0)) return true;
 
   int voxel[3], step[3];
-  double next[3], interval[3];  // distance along the ray to the next boundary, and between boundaries
+  double next[3],
+      interval[3];  // distance along the ray to the next boundary, and between boundaries
   for (int axis = 0; axis < 3; ++axis) {
     const double floor = std::floor(origin[axis]);
     voxel[axis] = static_cast<int>(floor) + geometry::VoxelKey::kCentre;
@@ -135,9 +139,9 @@ bool OccupancyGrid::CastFree(const Ray& ray) {
 
 absl::Status OccupancyGrid::InsertScan(std::span<const Ray> rays) {
   scan_ = scan_ == std::numeric_limits<std::uint16_t>::max() ? 1 : scan_ + 1;
-  const absl::Status full = absl::ResourceExhaustedError(
-      absl::StrCat("the building has more than ", max_blocks_ * kBlockSize * kBlockSize * kBlockSize,
-                   " known voxels of ", voxel_size_m_, " m, the limit of a map"));
+  const absl::Status full = absl::ResourceExhaustedError(absl::StrCat(
+      "the building has more than ", max_blocks_ * kBlockSize * kBlockSize * kBlockSize,
+      " known voxels of ", voxel_size_m_, " m, the limit of a map"));
   const auto in_range = [&](const Ray& ray) {
     return geometry::KeyFromPoint(ray.origin_in_map.cast<double>(), voxel_size_m_) &&
            geometry::KeyFromPoint(ray.end_in_map.cast<double>(), voxel_size_m_);
@@ -159,9 +163,8 @@ std::shared_ptr<octomap::OcTree> OccupancyGrid::ToOctree() const {
   std::vector<const Block*> sorted;
   sorted.reserve(blocks_.size());
   for (const auto& block : blocks_) sorted.push_back(block.get());
-  std::sort(sorted.begin(), sorted.end(), [](const Block* a, const Block* b) {
-    return MortonCode(a->key) < MortonCode(b->key);
-  });
+  std::sort(sorted.begin(), sorted.end(),
+            [](const Block* a, const Block* b) { return MortonCode(a->key) < MortonCode(b->key); });
 
   auto octree = std::make_shared<octomap::OcTree>(voxel_size_m_);
   for (const Block* block : sorted) {
@@ -175,7 +178,7 @@ std::shared_ptr<octomap::OcTree> OccupancyGrid::ToOctree() const {
                                        (block->key.z << kBlockBits) + z);
           octree->setNodeValue(key,
                                cell.log_odds > 0 ? octree->getClampingThresMaxLog()
-                                                         : octree->getClampingThresMinLog(),
+                                                 : octree->getClampingThresMinLog(),
                                /*lazy_eval=*/true);
         }
       }

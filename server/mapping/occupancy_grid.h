@@ -1,12 +1,11 @@
 #pragma once
 
+#include <Eigen/Core>
+#include <boost/unordered/unordered_flat_map.hpp>
 #include <cstdint>
 #include <memory>
 #include <span>
 #include <vector>
-
-#include <Eigen/Core>
-#include <boost/unordered/unordered_flat_map.hpp>
 
 #include "absl/status/status.h"
 #include "geometry/voxel_key.h"
@@ -21,12 +20,14 @@ namespace soundmap::mapping {
 struct Ray {
   Eigen::Vector3f origin_in_map;
   Eigen::Vector3f end_in_map;
-  // The last part of the way that is not taken as free: a ray that grazes a surface passes through its voxels.
+  // The last part of the way that is not taken as free: a ray that grazes a surface passes through
+  // its voxels.
   float margin_m = 0.0f;
 };
 
 struct OccupancyConfig {
-  // OctoMap's sensor model: hit 0.7, miss 0.4, clamped to 0.12 .. 0.97, as log-odds. Clamped, so that what moved away is unlearned.
+  // OctoMap's sensor model: hit 0.7, miss 0.4, clamped to 0.12 .. 0.97, as log-odds. Clamped, so
+  // that what moved away is unlearned.
   double hit_log_odds = 0.85;
   double miss_log_odds = -0.4;
   double min_log_odds = -2.0;
@@ -36,16 +37,19 @@ struct OccupancyConfig {
   absl::Status Validate() const;
 };
 
-// Occupied, free and unknown voxels from rays. Within a scan a voxel counts once, and a point in it outweighs the rays that pass through it.
+// Occupied, free and unknown voxels from rays. Within a scan a voxel counts once, and a point in it
+// outweighs the rays that pass through it.
 class OccupancyGrid {
  public:
   OccupancyGrid(double voxel_size_m, const OccupancyConfig& config);
   ~OccupancyGrid();
 
-  // Rays that leave the range of voxel keys are left out. ResourceExhausted: the map has grown beyond max_blocks.
+  // Rays that leave the range of voxel keys are left out. ResourceExhausted: the map has grown
+  // beyond max_blocks.
   absl::Status InsertScan(std::span<const Ray> rays);
 
-  // Pruned. Each known voxel is as surely occupied or free as OctoMap allows (its clamping thresholds).
+  // Pruned. Each known voxel is as surely occupied or free as OctoMap allows (its clamping
+  // thresholds).
   std::shared_ptr<octomap::OcTree> ToOctree() const;
 
  private:

@@ -1,14 +1,14 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <span>
 #include <vector>
 
-#include <Eigen/Core>
-
 namespace soundmap::mapping {
 
-// Indices of points of which each is the first in its cube of this size, in order. Points too far out for a voxel key are left out.
+// Indices of points of which each is the first in its cube of this size, in order. Points too far
+// out for a voxel key are left out.
 std::vector<std::uint32_t> FirstPointPerCube(std::span<const Eigen::Vector3f> points,
                                              double cube_size_m);
 

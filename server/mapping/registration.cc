@@ -1,10 +1,9 @@
 #include "mapping/registration.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <vector>
-
-#include <Eigen/Cholesky>
 
 namespace soundmap::mapping {
 namespace {
@@ -20,7 +19,8 @@ constexpr double kMinKernel_m = 0.02;
 constexpr double kMaxKernel_m = 0.2;
 constexpr double kStdOfMedian = 1.4826;
 
-// What one point's residual is taken to weigh against the prior. Much more than the noise of a point, since neighbouring points err together.
+// What one point's residual is taken to weigh against the prior. Much more than the noise of a
+// point, since neighbouring points err together.
 constexpr double kResidualStd_m = 0.3;
 
 // A plane steeper than this speaks for x, y and yaw.
@@ -73,7 +73,8 @@ double KernelWidth(const std::vector<Constraint>& constraints) {
   return std::clamp(kStdOfMedian * *middle, kMinKernel_m, kMaxKernel_m);
 }
 
-// The Gauss-Newton step (x, y, yaw) of the residuals and of the prior, whose deviation from the starting pose is `from_start`.
+// The Gauss-Newton step (x, y, yaw) of the residuals and of the prior, whose deviation from the
+// starting pose is `from_start`.
 Eigen::Vector3d Step(const std::vector<Constraint>& constraints, const Eigen::Vector3d& from_start,
                      const SearchRange& range) {
   const Eigen::Vector3d prior_weight(1.0 / (range.prior_std_m * range.prior_std_m),
@@ -85,10 +86,8 @@ Eigen::Vector3d Step(const std::vector<Constraint>& constraints, const Eigen::Ve
     const double kernel_m = KernelWidth(constraints);
     for (const Constraint& constraint : constraints) {
       const double relative = constraint.residual_m / kernel_m;
-      const double weight =
-          1.0 / ((1.0 + relative * relative) * kResidualStd_m * kResidualStd_m);
-      const Eigen::Vector3d jacobian(constraint.normal_x, constraint.normal_y,
-                                     constraint.lever_m);
+      const double weight = 1.0 / ((1.0 + relative * relative) * kResidualStd_m * kResidualStd_m);
+      const Eigen::Vector3d jacobian(constraint.normal_x, constraint.normal_y, constraint.lever_m);
       information += weight * jacobian * jacobian.transpose();
       gradient += weight * constraint.residual_m * jacobian;
     }

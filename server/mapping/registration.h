@@ -1,9 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <optional>
 #include <span>
-
-#include <Eigen/Core>
 
 #include "geometry/pose.h"
 #include "mapping/surface_map.h"
@@ -28,9 +27,10 @@ struct Registration {
   double fit() const { return constraints > 0 ? static_cast<double>(inliers) / constraints : 0.0; }
 };
 
-// Scan-to-map alignment on the flat floor: x, y and yaw that minimize the distances of the scan's points to the planes of the nearest surfels,
-// under a Cauchy kernel whose width follows the residuals, by Gauss-Newton. z, roll and pitch stay (section II-A). The starting pose keeps weight where
-// the surfaces leave a direction open, as in a corridor.
+// Scan-to-map alignment on the flat floor: x, y and yaw that minimize the distances of the scan's
+// points to the planes of the nearest surfels, under a Cauchy kernel whose width follows the
+// residuals, by Gauss-Newton. z, roll and pitch stay (section II-A). The starting pose keeps weight
+// where the surfaces leave a direction open, as in a corridor.
 Registration Register(std::span<const Eigen::Vector3f> point_in_base, const SurfaceMap& map,
                       const geometry::Pose2& start_map_from_base, const SearchRange& range);
 

@@ -1,19 +1,18 @@
 #include "mapping/surface_map.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <optional>
-
-#include <Eigen/Eigenvalues>
 
 namespace soundmap::mapping {
 namespace {
 
 // A plane's means spread in two directions and hardly in the third (variances).
 constexpr int kMinMeans = 5;
-constexpr float kMaxThicknessRatio = 0.04f;
+constexpr float kMaxThicknessRatio = 0.1f;
 constexpr float kMinWidthRatio = 0.1f;
-constexpr float kMaxThickness_voxels = 0.2f;
+constexpr float kMaxThickness_voxels = 0.3f;
 
 // A neighbourhood of one voxel on each side first; wider where the points are too thin for a plane.
 constexpr int kNeighbourhoods[] = {1, 2, 4};
@@ -65,7 +64,8 @@ void SurfaceMap::FitPlanes() {
 void SurfaceMap::FitPlane(const geometry::VoxelKey& key, Surfel& surfel) const {
   surfel.normal.setZero();
   for (const int reach : kNeighbourhoods) {
-    // Weighted by the points: where a wall runs along a voxel's face, noise leaves a few points, all too far out, on the other side.
+    // Weighted by the points: where a wall runs along a voxel's face, noise leaves a few points,
+    // all too far out, on the other side.
     int means = 0;
     float weight_sum = 0.0f;
     Eigen::Vector3f sum = Eigen::Vector3f::Zero();
@@ -89,8 +89,7 @@ void SurfaceMap::FitPlane(const geometry::VoxelKey& key, Surfel& surfel) const {
     }
     if (means < kMinMeans) continue;
     const Eigen::Vector3f centre = sum / weight_sum;
-    const Eigen::Matrix3f covariance =
-        products / weight_sum - centre * centre.transpose();
+    const Eigen::Matrix3f covariance = products / weight_sum - centre * centre.transpose();
     Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> solver;
     solver.computeDirect(covariance);
     const Eigen::Vector3f variance = solver.eigenvalues();
@@ -118,8 +117,7 @@ const Surfel* SurfaceMap::Nearest(const Eigen::Vector3f& point_in_map,
   const auto key = geometry::KeyFromPoint(point_in_map.cast<double>(), voxel_size_m_);
   if (!key) return nullptr;
   const int reach = static_cast<int>(std::ceil(max_distance_m / voxel_size_m_));
-  const Eigen::Vector3f voxel_centre =
-      geometry::PointFromKey(*key, voxel_size_m_).cast<float>();
+  const Eigen::Vector3f voxel_centre = geometry::PointFromKey(*key, voxel_size_m_).cast<float>();
   const auto size_m = static_cast<float>(voxel_size_m_);
   // Squared distance along an axis from the point to the voxels that lie `offset` voxels further.
   const auto squared_gap_m2 = [&](int axis, int offset) {

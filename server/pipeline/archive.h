@@ -7,9 +7,11 @@
 
 namespace soundmap::pipeline {
 
-// The pipeline's own bytes in the store: doubles as they are, so that what is read is what was written, bit for bit.
+// The pipeline's own bytes in the store: doubles as they are, so that what is read is what was
+// written, bit for bit.
 std::string EncodePose(const localization::PoseEstimate& pose);
-std::string EncodeAudioScan(const AudioScanInfo& scan);  // without the session and the time, which the journal keeps
+std::string EncodeAudioScan(
+    const AudioScanInfo& scan);  // without the session and the time, which the journal keeps
 
 // DataLoss: not such bytes.
 absl::StatusOr<localization::PoseEstimate> DecodePose(const std::string& bytes);

@@ -43,7 +43,8 @@ struct SourceRemoved {
 
 using Event = std::variant<sound_map::SoundSource, SourceRemoved, RobotInfo, AudioScanInfo>;
 
-// What happened at one site, newest last: a ring of bounded length, so that a slow reader can fall out of it but never holds anybody up. Thread safe.
+// What happened at one site, newest last: a ring of bounded length, so that a slow reader can fall
+// out of it but never holds anybody up. Thread safe.
 class EventRing {
  public:
   explicit EventRing(std::size_t capacity = 4096) : capacity_(capacity) {}
@@ -58,17 +59,18 @@ class EventRing {
   Batch Read(std::int64_t from, std::size_t max_events) const;
   std::int64_t next() const;
 
-  // `wake` is called after every Publish() until Unsubscribe() has returned; it must not block or call back into the ring.
+  // `wake` is called after every Publish() until Unsubscribe() has returned; it must not block or
+  // call back into the ring.
   int Subscribe(std::function<void()> wake);
   void Unsubscribe(int subscription);
 
  private:
   const std::size_t capacity_;
   mutable std::mutex mutex_;
-  std::deque<Event> events_;                        // guarded by mutex_
-  std::int64_t first_ = 0;                          // guarded by mutex_; number of events_.front()
-  std::map<int, std::function<void()>> wakes_;      // guarded by mutex_
-  int subscriptions_ = 0;                           // guarded by mutex_
+  std::deque<Event> events_;                    // guarded by mutex_
+  std::int64_t first_ = 0;                      // guarded by mutex_; number of events_.front()
+  std::map<int, std::function<void()>> wakes_;  // guarded by mutex_
+  int subscriptions_ = 0;                       // guarded by mutex_
 };
 
 }  // namespace soundmap::pipeline

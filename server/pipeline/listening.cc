@@ -13,36 +13,35 @@ namespace boost::serialization {
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::acoustics::AudioClock::Point& point, unsigned) {
-  archive & point.sample & point.stamp_ns;
+  archive& point.sample& point.stamp_ns;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::acoustics::AudioScanner::State& state, unsigned) {
-  archive & state.last_stamp_ns & state.next_sample & state.clock & state.pending;
+  archive& state.last_stamp_ns& state.next_sample& state.clock& state.pending;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::localization::Particle& particle, unsigned) {
-  archive & particle.map_from_base & particle.log_weight;
+  archive& particle.map_from_base& particle.log_weight;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::localization::Correction& correction, unsigned) {
-  archive & correction.estimate & correction.odom_from_base;
+  archive& correction.estimate& correction.odom_from_base;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::localization::Counters& counters, unsigned) {
-  archive & counters.corrections & counters.resamplings & counters.scans_ignored &
-      counters.scans_overflowed & counters.scans_empty & counters.odometry_ignored &
-      counters.odometry_jumps;
+  archive& counters.corrections& counters.resamplings& counters.scans_ignored& counters
+      .scans_overflowed& counters.scans_empty& counters.odometry_ignored& counters.odometry_jumps;
 }
 
 // Boost.Serialization of this version knows boost::optional only.
 template <class Archive, typename Value>
 void serialize(Archive& archive, std::optional<Value>& optional, unsigned) {
   bool present = optional.has_value();
-  archive & present;
+  archive& present;
   if (!present) {
     optional.reset();
   } else {
@@ -53,17 +52,17 @@ void serialize(Archive& archive, std::optional<Value>& optional, unsigned) {
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::localization::LocalizerState& state, unsigned) {
-  archive & state.particles & state.engine & state.odometry & state.raw_odometry &
-      state.waiting_scans & state.corrections & state.newest_scan_ns & state.considered_until_ns &
-      state.odom_from_particles & state.mean_fit & state.travelled_m & state.jumped &
-      state.counters;
+  archive& state.particles& state.engine& state.odometry& state.raw_odometry& state
+      .waiting_scans& state.corrections& state.newest_scan_ns& state.considered_until_ns& state
+      .odom_from_particles& state.mean_fit& state.misfit_m& state.misfit& state.travelled_m& state
+      .jumped& state.counters;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::pipeline::Listening::Counters& counters, unsigned) {
-  archive & counters.audio_scans & counters.backward_odometry & counters.backward_lidar &
-      counters.faulty_audio_scans & counters.refused_audio & counters.scans_without_range &
-      counters.scans_without_pose;
+  archive& counters.audio_scans& counters.backward_odometry& counters.backward_lidar& counters
+      .faulty_audio_scans& counters.refused_audio& counters.scans_without_range& counters
+      .scans_without_pose;
 }
 
 }  // namespace boost::serialization
@@ -71,7 +70,8 @@ void serialize(Archive& archive, soundmap::pipeline::Listening::Counters& counte
 namespace soundmap::pipeline {
 namespace {
 
-// LIDAR scans and audio scans that wait for what comes after them; with more, the oldest are done without.
+// LIDAR scans and audio scans that wait for what comes after them; with more, the oldest are done
+// without.
 constexpr std::size_t kMaxLidarScans = 64;
 constexpr std::size_t kMaxPendingScans = 64;
 
@@ -122,12 +122,12 @@ absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
     std::uint64_t seed) {
   auto plan = localization::PreparedPlan::Create(profile.localization, building->floor_plan);
   if (!plan.ok()) return plan.status();
-  auto localizer = localization::Localizer::Create(
-      *plan, calibration, localization::InitialPose{initial_pose}, seed);
+  auto localizer = localization::Localizer::Create(*plan, calibration,
+                                                   localization::InitialPose{initial_pose}, seed);
   if (!localizer.ok()) return localizer.status();
-  std::unique_ptr<State> state(
-      new State{profile, calibration, *std::move(plan), *std::move(localizer), nullptr,
-                std::nullopt, frames::OdometryTrack()});
+  std::unique_ptr<State> state(new State{profile, calibration, *std::move(plan),
+                                         *std::move(localizer), nullptr, std::nullopt,
+                                         frames::OdometryTrack()});
   if (!calibration.mic_in_array_m.empty() && calibration.audio_sample_rate_hz != 0) {
     auto scanner = acoustics::AudioScanner::Create(profile.acoustics, calibration);
     if (!scanner.ok()) return scanner.status();
@@ -151,7 +151,8 @@ const Listening::Counters& Listening::counters() const { return state_->counters
 
 void Listening::State::Add(const frames::Odometry& odometry, Output& output) {
   if (!track.Add(odometry)) ++counters.backward_odometry;
-  for (const localization::PoseEstimate& pose : localizer.Add(odometry)) output.path.push_back(pose);
+  for (const localization::PoseEstimate& pose : localizer.Add(odometry))
+    output.path.push_back(pose);
 }
 
 void Listening::State::Add(const frames::LaserScan& scan, Output& output) {
@@ -200,7 +201,8 @@ bool Listening::State::IsReady(const acoustics::LikelihoodScan& scan) const {
   const frames::TimeNs mid_ns = scan.mid_ns();
   const frames::TimeNs now_ns = track.newest_ns();
   if (now_ns < mid_ns + frames::NsFromSeconds(profile.fusion.pose_wait_s)) return false;
-  // The nearest LIDAR scan is known once one is newer than the audio scan, or none can come in time.
+  // The nearest LIDAR scan is known once one is newer than the audio scan, or none can come in
+  // time.
   const bool lidar_known = !lidar_scans.empty() && MiddleOf(lidar_scans.back()) >= mid_ns;
   return lidar_known || now_ns >= mid_ns + frames::NsFromSeconds(profile.fusion.lidar_wait_s);
 }
@@ -214,7 +216,8 @@ void Listening::State::Drain(bool all, Output& output) {
   }
 }
 
-// Chooses the LIDAR scan nearest in time and straightens its sweep. False when there is none near enough.
+// Chooses the LIDAR scan nearest in time and straightens its sweep. False when there is none near
+// enough.
 bool Listening::State::View(frames::TimeNs time_ns) {
   const frames::LidarScan* nearest = nullptr;
   frames::TimeNs nearest_age_ns = frames::NsFromSeconds(profile.ray_casting.max_lidar_age_s);
@@ -236,7 +239,8 @@ bool Listening::State::View(frames::TimeNs time_ns) {
   return true;
 }
 
-// Section V for one audio scan: the pose and the ranges at its middle send its likelihoods into the map.
+// Section V for one audio scan: the pose and the ranges at its middle send its likelihoods into the
+// map.
 void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   const frames::TimeNs mid_ns = scan.mid_ns();
   const auto pose = localizer.At(mid_ns);
@@ -274,7 +278,8 @@ std::vector<std::string> Listening::Warnings() const {
   const localization::Counters& localization = state_->localizer.counters();
   const std::pair<std::int64_t, const char*> sentences[] = {
       {counters.backward_odometry, " odometry frame(s) ran backwards in time and were left out"},
-      {localization.odometry_jumps, " odometry frame(s) jumped; the robot was uncertain for a while"},
+      {localization.odometry_jumps,
+       " odometry frame(s) jumped; the robot was uncertain for a while"},
       {localization.scans_empty, " laser scan(s) had too few valid beams"},
       {counters.backward_lidar, " LIDAR scan(s) ran backwards in time and were left out"},
       {counters.refused_audio, " audio block(s) did not fit the ones before and were left out"},
@@ -310,12 +315,11 @@ absl::Status Listening::RestoreState(const std::string& bytes) {
   std::deque<frames::LidarScan> lidar_scans;
   std::deque<acoustics::LikelihoodScan> pending_scans;
   Counters counters;
-  const absl::Status read = FromBytes(bytes, localizer_state, scanner_state, track, lidar_scans,
-                                      pending_scans, counters);
+  const absl::Status read =
+      FromBytes(bytes, localizer_state, scanner_state, track, lidar_scans, pending_scans, counters);
   if (!read.ok()) return read;
   State& state = *state_;
-  auto localizer =
-      localization::Localizer::Restore(state.plan, state.calibration, localizer_state);
+  auto localizer = localization::Localizer::Restore(state.plan, state.calibration, localizer_state);
   if (!localizer.ok()) return localizer.status();
   if (state.scanner) {
     const absl::Status restored = state.scanner->Restore(std::move(scanner_state));

@@ -16,8 +16,8 @@
 
 namespace soundmap::pipeline {
 
-// One robot's drive, from frames to evidence: localization and acoustics side by side, which meet in ray casting. A deterministic function of the
-// frames in their order. Strand-owned.
+// One robot's drive, from frames to evidence: localization and acoustics side by side, which meet
+// in ray casting. A deterministic function of the frames in their order. Strand-owned.
 class Listening {
  public:
   // One audio scan that says something about the map.
@@ -31,10 +31,12 @@ class Listening {
     std::vector<Scan> scans;
     std::vector<localization::PoseEstimate> path;
   };
-  // Since the start of the drive. A frame or scan that could not be used is left out and counted here.
+  // Since the start of the drive. A frame or scan that could not be used is left out and counted
+  // here.
   struct Counters {
-    std::int64_t audio_scans = 0;          // that gave evidence
-    std::int64_t backward_odometry = 0;    // stamps that ran backwards, or numbers that are not finite
+    std::int64_t audio_scans = 0;  // that gave evidence
+    std::int64_t backward_odometry =
+        0;  // stamps that ran backwards, or numbers that are not finite
     std::int64_t faulty_audio_scans = 0;   // a dead microphone, lost samples
     std::int64_t scans_without_range = 0;  // no LIDAR scan was near in time, or none at all
     std::int64_t scans_without_pose = 0;   // the robot was lost or unknown
@@ -57,7 +59,8 @@ class Listening {
   // Plain sentences for what the counters say.
   std::vector<std::string> Warnings() const;
 
-  // All that the future depends on; after RestoreState() of the same bytes the drive goes on bit for bit. DataLoss: not such bytes.
+  // All that the future depends on; after RestoreState() of the same bytes the drive goes on bit
+  // for bit. DataLoss: not such bytes.
   std::string SaveState() const;
   absl::Status RestoreState(const std::string& bytes);
 

@@ -1,9 +1,8 @@
 #include "pipeline/operations.h"
 
-#include <chrono>
-
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
+#include <chrono>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -18,7 +17,7 @@ constexpr int kMaxWaiting = 100;
 
 struct Operations::Running : OperationContext {
   Operations* owner = nullptr;
-  OperationInfo info;     // guarded by owner->mutex_
+  OperationInfo info;  // guarded by owner->mutex_
   std::string request_id;
   std::vector<std::shared_ptr<boost::asio::steady_timer>> waiting;  // guarded by owner->mutex_
   std::atomic<bool> cancel_requested = false;

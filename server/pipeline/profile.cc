@@ -52,9 +52,7 @@ class TomlWriter {
   void operator()(const char* key, const std::optional<Value>& value) {
     if (value) (*this)(key, *value);
   }
-  void Angle(const char* key, double& angle_rad) {
-    (*this)(key, geometry::DegFromRad(angle_rad));
-  }
+  void Angle(const char* key, double& angle_rad) { (*this)(key, geometry::DegFromRad(angle_rad)); }
   // Which of two alternatives a variant holds, by name.
   template <typename First, typename Second>
   void Choice(const char* key, std::variant<First, Second>& value, const char* first,
@@ -135,7 +133,8 @@ class TomlReader {
     for (const auto& [section, node] : table_) {
       if (!node.is_table()) continue;
       for (const auto& [key, value] : *node.as_table()) {
-        const std::string path = absl::StrCat(std::string(section.str()), ".", std::string(key.str()));
+        const std::string path =
+            absl::StrCat(std::string(section.str()), ".", std::string(key.str()));
         if (!visited_.contains(path)) {
           return absl::InvalidArgumentError(absl::StrCat("the parameter ", path, " is not known"));
         }
@@ -193,6 +192,7 @@ void VisitAcoustics(Visitor& v, acoustics::AcousticsConfig& c) {
   v.Choice("evidence", c.evidence, "peaks", "double_threshold");
   if (auto* peaks = std::get_if<acoustics::PeakEvidence>(&c.evidence)) {
     v("threshold_spreads", peaks->threshold_spreads);
+    v("threshold_incoherent_spreads", peaks->threshold_incoherent_spreads);
     v("max_peaks", peaks->max_peaks);
     v.Angle("peak_radius_deg", peaks->peak_radius_rad);
     v.Angle("undecided_radius_deg", peaks->undecided_radius_rad);
@@ -280,10 +280,14 @@ void VisitSoundMap(Visitor& v, sound_map::SoundMapConfig& c) {
   v("max_seeds", c.sources.max_seeds);
   v("max_iterations", c.sources.max_iterations);
   v("smoothing_sigma_m", c.sources.smoothing_sigma_m);
+  v("background_share", c.sources.background_share);
+  v("repetition", c.sources.repetition);
+  v("prior_log_odds", c.sources.prior_log_odds);
   v("separation_m", c.sources.separation_m);
+  v("masking_radius_m", c.sources.masking_radius_m);
+  v("masking_share", c.sources.masking_share);
   v("core_radius_m", c.sources.core_radius_m);
   v("min_evidence", c.sources.min_evidence);
-  v("full_evidence", c.sources.full_evidence);
 }
 
 template <typename Visitor>
@@ -339,8 +343,8 @@ void Visit(Visitor& v, Profile& profile) {
 
 absl::Status Profile::Validate() const {
   for (const absl::Status& status :
-       {acoustics.Validate(), localization.Validate(), ray_casting.Validate(),
-        sound_map.Validate(), mapping.Validate(), import.Validate()}) {
+       {acoustics.Validate(), localization.Validate(), ray_casting.Validate(), sound_map.Validate(),
+        mapping.Validate(), import.Validate()}) {
     if (!status.ok()) return status;
   }
   if (ray_casting.voxel_size_m != sound_map.voxel_size_m) {

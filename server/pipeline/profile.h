@@ -18,7 +18,8 @@ struct FusionConfig {
   double lidar_wait_s = 1.0;  // and this long, at most, for the LIDAR scan after it
 };
 
-// The parameters of every stage. Two named sets: `paper` is the paper as printed, `default` the best that we know.
+// The parameters of every stage. Two named sets: `paper` is the paper as printed, `default` the
+// best that we know.
 struct Profile {
   std::string name;
   acoustics::AcousticsConfig acoustics;
@@ -35,11 +36,12 @@ struct Profile {
 // NotFound unless `name` is "paper" or "default".
 absl::StatusOr<Profile> ProfileByName(const std::string& name);
 
-// Every parameter, in sections named after the stages; the names end in the unit. Angles are in degrees.
+// Every parameter, in sections named after the stages; the names end in the unit. Angles are in
+// degrees.
 std::string ToToml(const Profile& profile);
 
-// The profile that `name` in the text says, with the parameters that the text has. InvalidArgument, naming the parameter: unknown, of another type,
-// out of range.
+// The profile that `name` in the text says, with the parameters that the text has. InvalidArgument,
+// naming the parameter: unknown, of another type, out of range.
 absl::StatusOr<Profile> ProfileFromToml(const std::string& text);
 
 }  // namespace soundmap::pipeline

@@ -32,7 +32,8 @@ Eigen::Isometry3d TransformFrom(const Json& json) {
 
 Json JsonFrom(const frames::Calibration& calibration) {
   Json microphones = Json::array();
-  for (const Eigen::Vector3d& mic : calibration.mic_in_array_m) microphones.push_back(JsonFrom(mic));
+  for (const Eigen::Vector3d& mic : calibration.mic_in_array_m)
+    microphones.push_back(JsonFrom(mic));
   return {{"base_from_array", JsonFrom(calibration.base_from_array)},
           {"base_from_lidar", JsonFrom(calibration.base_from_lidar)},
           {"base_from_laser", JsonFrom(calibration.base_from_laser)},
@@ -61,7 +62,8 @@ absl::StatusOr<Record> Read(const std::string& text, const char* what,
   try {
     return from_json(Json::parse(text));
   } catch (const Json::exception& error) {
-    return absl::DataLossError(absl::StrCat("the stored ", what, " cannot be read: ", error.what()));
+    return absl::DataLossError(
+        absl::StrCat("the stored ", what, " cannot be read: ", error.what()));
   }
 }
 

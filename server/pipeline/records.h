@@ -14,7 +14,8 @@ namespace soundmap::pipeline {
 struct SiteRecord {
   std::string site;
   std::string profile;
-  // The parameters of every stage as they were when the site was created, so that a session that is read again gives the same map.
+  // The parameters of every stage as they were when the site was created, so that a session that is
+  // read again gives the same map.
   std::string parameters_toml;
   std::int64_t create_time_ns = 0;
   std::int64_t building_version = 0;  // 0: no geometric map yet

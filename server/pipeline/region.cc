@@ -9,7 +9,8 @@
 namespace soundmap::pipeline {
 namespace {
 
-// Voxel updates in the journal behind the checkpoint, at most: some seconds of replay after a crash.
+// Voxel updates in the journal behind the checkpoint, at most: some seconds of replay after a
+// crash.
 constexpr std::int64_t kCheckpointUpdates = 20'000'000;
 
 }  // namespace
@@ -31,7 +32,8 @@ absl::Status Region::Load() {
   });
   if (!checkpoint.ok()) return checkpoint.status();
   sequence_ = *checkpoint;
-  // Every journal entry has an end point, so that the newest evidence is the newest update of a voxel.
+  // Every journal entry has an end point, so that the newest evidence is the newest update of a
+  // voxel.
   std::optional<frames::TimeNs> as_of_ns;
   map_->TakeSnapshot()->ForEach([&](const geometry::VoxelKey&, const sound_map::Voxel& voxel) {
     as_of_ns = std::max(as_of_ns.value_or(voxel.last_update_ns), voxel.last_update_ns);

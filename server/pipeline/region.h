@@ -15,14 +15,15 @@
 
 namespace soundmap::pipeline {
 
-// The sound map of one site: one writer at a time, readers on immutable snapshots that never wait for it. Evidence enters the journal first,
-// then the map; the revision of the map is the number of journal entries in it, so that it means the same after a restart.
-// Thread safe.
+// The sound map of one site: one writer at a time, readers on immutable snapshots that never wait
+// for it. Evidence enters the journal first, then the map; the revision of the map is the number of
+// journal entries in it, so that it means the same after a restart. Thread safe.
 class Region {
  public:
   // The map as the store has it: the tiles of the last checkpoint, then the journal behind it.
-  static absl::StatusOr<std::unique_ptr<Region>> Open(
-      const std::string& site, storage::Store* store, const sound_map::SoundMapConfig& config);
+  static absl::StatusOr<std::unique_ptr<Region>> Open(const std::string& site,
+                                                      storage::Store* store,
+                                                      const sound_map::SoundMapConfig& config);
 
   std::shared_ptr<const sound_map::Snapshot> snapshot() const { return map_->TakeSnapshot(); }
 
@@ -57,8 +58,8 @@ class Region {
 
   std::mutex writer_mutex_;
   const std::unique_ptr<sound_map::SoundMap> map_;  // changed with writer_mutex_ held
-  std::uint64_t sequence_ = 0;                      // guarded by writer_mutex_; last journal entry in map_
-  std::int64_t updates_since_checkpoint_ = 0;       // guarded by writer_mutex_
+  std::uint64_t sequence_ = 0;  // guarded by writer_mutex_; last journal entry in map_
+  std::int64_t updates_since_checkpoint_ = 0;  // guarded by writer_mutex_
 
   mutable std::mutex sources_mutex_;
   mutable std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_

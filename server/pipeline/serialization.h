@@ -1,9 +1,7 @@
 #pragma once
 
-// Boost.Serialization of the types that the pipeline stores. Included by the two sources that write archives.
-
-#include <sstream>
-#include <string>
+// Boost.Serialization of the types that the pipeline stores. Included by the two sources that write
+// archives.
 
 #include <boost/archive/archive_exception.hpp>
 #include <boost/archive/binary_iarchive.hpp>
@@ -12,6 +10,8 @@
 #include <boost/serialization/optional.hpp>
 #include <boost/serialization/string.hpp>
 #include <boost/serialization/vector.hpp>
+#include <sstream>
+#include <string>
 
 #include "absl/status/statusor.h"
 #include "acoustics/likelihood_scan.h"
@@ -23,45 +23,44 @@ namespace boost::serialization {
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::geometry::Pose2& pose, unsigned) {
-  archive & pose.x_m & pose.y_m & pose.yaw_rad;
+  archive& pose.x_m& pose.y_m& pose.yaw_rad;
 }
 
 template <class Archive, typename Scalar, int Rows, int Columns>
 void serialize(Archive& archive, Eigen::Matrix<Scalar, Rows, Columns>& matrix, unsigned) {
   static_assert(Rows != Eigen::Dynamic && Columns != Eigen::Dynamic);
-  for (int i = 0; i < Rows * Columns; ++i) archive & matrix.data()[i];
+  for (int i = 0; i < Rows * Columns; ++i) archive& matrix.data()[i];
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::localization::PoseEstimate& pose, unsigned) {
-  archive & pose.stamp_ns & pose.map_from_base & pose.covariance & pose.effective_particles &
-      pose.scan_fit & pose.state;
+  archive& pose.stamp_ns& pose.map_from_base& pose.covariance& pose.effective_particles& pose
+      .scan_fit& pose.state;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::acoustics::Peak& peak, unsigned) {
-  archive & peak.direction_in_array & peak.power;
+  archive& peak.direction_in_array& peak.power;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::acoustics::LikelihoodScan& scan, unsigned) {
-  archive & scan.begin_ns & scan.end_ns & scan.fault & scan.likelihood & scan.noise_floor &
-      scan.peaks;
+  archive& scan.begin_ns& scan.end_ns& scan.fault& scan.likelihood& scan.noise_floor& scan.peaks;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::frames::Odometry& odometry, unsigned) {
-  archive & odometry.stamp_ns & odometry.odom_from_base;
+  archive& odometry.stamp_ns& odometry.odom_from_base;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::frames::LidarScan& scan, unsigned) {
-  archive & scan.stamp_ns & scan.point_in_lidar & scan.time_offset_ns;
+  archive& scan.stamp_ns& scan.point_in_lidar& scan.time_offset_ns;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::frames::LaserScan& scan, unsigned) {
-  archive & scan.stamp_ns & scan.start_angle_rad & scan.angle_increment_rad & scan.range_m;
+  archive& scan.stamp_ns& scan.start_angle_rad& scan.angle_increment_rad& scan.range_m;
 }
 
 }  // namespace boost::serialization

@@ -1,12 +1,11 @@
 #include "pipeline/session.h"
 
 #include <algorithm>
+#include <boost/asio/post.hpp>
 #include <chrono>
 #include <future>
 #include <limits>
 #include <utility>
-
-#include <boost/asio/post.hpp>
 
 #include "absl/strings/str_cat.h"
 #include "pipeline/archive.h"
@@ -25,7 +24,9 @@ constexpr std::chrono::milliseconds kCommitRetry(500);
 // The end of a drive in the session log: a foxglove.KeyValuePair whose key is "end".
 constexpr char kEndTopic[] = "/session/end";
 constexpr char kEndSchema[] = "foxglove.KeyValuePair";
-constexpr char kEndPayload[] = "\x0a\x03" "end";
+constexpr char kEndPayload[] =
+    "\x0a\x03"
+    "end";
 
 }  // namespace
 
@@ -111,14 +112,13 @@ absl::Status Session::Recover() {
 absl::Status Session::ReadNewestPose() {
   // The path of a drive is some thousands of poses; the newest lies at the end of it.
   const frames::TimeNs from_ns = record_.last_frame_ns - frames::NsFromSeconds(60.0);
-  return site_.store->ReadTrajectory(
-      id(), from_ns, std::numeric_limits<frames::TimeNs>::max(),
-      [this](const storage::TrajectoryEntry& entry) {
-        auto pose = DecodePose(entry.pose);
-        if (!pose.ok()) return pose.status();
-        newest_pose_ = *std::move(pose);
-        return absl::OkStatus();
-      });
+  return site_.store->ReadTrajectory(id(), from_ns, std::numeric_limits<frames::TimeNs>::max(),
+                                     [this](const storage::TrajectoryEntry& entry) {
+                                       auto pose = DecodePose(entry.pose);
+                                       if (!pose.ok()) return pose.status();
+                                       newest_pose_ = *std::move(pose);
+                                       return absl::OkStatus();
+                                     });
 }
 
 absl::StatusOr<Session::Item> Session::Decode(const recording::Message& message) const {
@@ -168,6 +168,7 @@ std::int64_t Session::Attach(std::int64_t epoch, std::function<void()> wake) {
   std::lock_guard lock(mutex_);
   Wake();  // the stream before this one finds itself fenced
   stream_epoch_ = epoch;
+  storage_trouble_ = absl::OkStatus();  // the new stream has another try
   wake_ = std::move(wake);
   return ended_ ? received_ - 1 : received_;
 }
@@ -194,7 +195,7 @@ absl::Status Session::CheckStream(std::int64_t epoch) const {
     return absl::AbortedError(absl::StrCat("session '", record_.session,
                                            "' was taken over by a newer stream of its robot"));
   }
-  return fault_;
+  return fault_.ok() ? storage_trouble_ : fault_;
 }
 
 absl::StatusOr<Session::Taken> Session::Receive(std::int64_t epoch, std::int64_t offset,
@@ -218,7 +219,8 @@ absl::StatusOr<Session::Taken> Session::Receive(std::int64_t epoch, std::int64_t
           "session '", record_.session, "' has ended after ", received_ - 1, " frames"));
     }
   }
-  // One stream at a time sends frames, so that nothing comes between the check and the append but a newer stream, which is looked for again.
+  // One stream at a time sends frames, so that nothing comes between the check and the append but a
+  // newer stream, which is looked for again.
   auto item = Decode(message);
   if (!item.ok()) {
     return absl::Status(item.status().code(),
@@ -267,10 +269,11 @@ void Session::OnDurable(const absl::StatusOr<std::int64_t>& durable) {
   std::lock_guard lock(mutex_);
   if (!durable.ok()) {
     // A full disk passes; a damaged log does not.
-    if (durable.status().code() == absl::StatusCode::kDataLoss) fault_ = durable.status();
+    (absl::IsDataLoss(durable.status()) ? fault_ : storage_trouble_) = durable.status();
     Wake();
     return;
   }
+  storage_trouble_ = absl::OkStatus();
   durable_ = std::max(durable_, *durable);
   Wake();
   if (!scheduled_ && !stopping_) {
@@ -314,6 +317,11 @@ void Session::CommitAndGoOn() {
   absl::Status status = Commit();
   if (status.ok() && finished_) status = Complete();
   if (!status.ok()) {
+    {
+      std::lock_guard lock(mutex_);
+      storage_trouble_ = status;
+      Wake();
+    }
     retry_.expires_after(kCommitRetry);
     retry_.async_wait([self = shared_from_this()](boost::system::error_code cancelled) {
       if (!cancelled) self->CommitAndGoOn();

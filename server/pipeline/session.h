@@ -1,5 +1,8 @@
 #pragma once
 
+#include <boost/asio/any_io_executor.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/asio/strand.hpp>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -9,10 +12,6 @@
 #include <string>
 #include <variant>
 
-#include <boost/asio/any_io_executor.hpp>
-#include <boost/asio/steady_timer.hpp>
-#include <boost/asio/strand.hpp>
-
 #include "absl/status/statusor.h"
 #include "building/building.h"
 #include "frames/frames.h"
@@ -20,7 +19,6 @@
 #include "pipeline/profile.h"
 #include "pipeline/records.h"
 #include "pipeline/region.h"
-#include "recording/message.h"
 #include "storage/store.h"
 
 namespace soundmap::pipeline {
@@ -33,8 +31,9 @@ struct Watermarks {
   bool complete = false;  // the robot sent all, and all is processed
 };
 
-// One drive of one robot: its frames enter the log, and once durable the pipeline, in order, on a strand of its own. The end of the drive is
-// a message in the log like any other, so that the whole session is a function of the log. Thread safe.
+// One drive of one robot: its frames enter the log, and once durable the pipeline, in order, on a
+// strand of its own. The end of the drive is a message in the log like any other, so that the whole
+// session is a function of the log. Thread safe.
 class Session : public std::enable_shared_from_this<Session> {
  public:
   using FrameDecoder = std::function<absl::StatusOr<frames::Frame>(const recording::Message&,
@@ -49,8 +48,8 @@ class Session : public std::enable_shared_from_this<Session> {
     boost::asio::any_io_executor executor;
   };
 
-  // Opens the log and brings the pipeline to where it was: the last state snapshot, then the frames behind it, whose evidence counts only
-  // from the first frame on that had no effect yet.
+  // Opens the log and brings the pipeline to where it was: the last state snapshot, then the frames
+  // behind it, whose evidence counts only from the first frame on that had no effect yet.
   static absl::StatusOr<std::shared_ptr<Session>> Open(SessionRecord record, Site site);
 
   SessionRecord record() const;
@@ -62,18 +61,22 @@ class Session : public std::enable_shared_from_this<Session> {
   // An unrecoverable fault (damage to the log); OK otherwise.
   absl::Status fault() const;
 
-  // Makes `epoch` the session's newest stream; `wake` is called, possibly under a lock of the session, whenever a watermark, the fault or the
-  // epoch changes. Returns the offset to resume from.
+  // Makes `epoch` the session's newest stream; `wake` is called, possibly under a lock of the
+  // session, whenever a watermark, the fault or the epoch changes. Returns the offset to resume
+  // from.
   std::int64_t Attach(std::int64_t epoch, std::function<void()> wake);
   void Detach(std::int64_t epoch);
-  // OK while `epoch` is the newest stream; Aborted once another has attached; the session's fault.
+  // OK while `epoch` is the newest stream; Aborted once another has attached; the session's fault;
+  // ResourceExhausted while the disk is full.
   absl::Status StreamStatus(std::int64_t epoch) const;
   bool streaming() const;
 
   enum class Taken { kYes, kDuplicate, kGap };
-  // A frame of the stream of `epoch`. kGap: offsets before this one are missing, nothing was taken. Aborted: a newer epoch has attached. DataLoss: the
-  // offset was taken before with other bytes. InvalidArgument: not a frame. ResourceExhausted: the disk is full.
-  absl::StatusOr<Taken> Receive(std::int64_t epoch, std::int64_t offset, recording::Message message);
+  // A frame of the stream of `epoch`. kGap: offsets before this one are missing, nothing was taken.
+  // Aborted: a newer epoch has attached. DataLoss: the offset was taken before with other bytes.
+  // InvalidArgument: not a frame. ResourceExhausted: the disk is full.
+  absl::StatusOr<Taken> Receive(std::int64_t epoch, std::int64_t offset,
+                                recording::Message message);
 
   // The drive has `frame_count` frames. FailedPrecondition: it has others.
   absl::Status Finish(std::int64_t epoch, std::int64_t frame_count);
@@ -84,7 +87,8 @@ class Session : public std::enable_shared_from_this<Session> {
   // Raises the epoch and returns it; the record is stored.
   absl::StatusOr<std::int64_t> NextEpoch();
 
-  // Processes nothing more; what is durable is processed after the next Open(). Returns when the strand is idle.
+  // Processes nothing more; what is durable is processed after the next Open(). Returns when the
+  // strand is idle.
   void Stop();
 
  private:
@@ -117,17 +121,19 @@ class Session : public std::enable_shared_from_this<Session> {
   boost::asio::strand<boost::asio::any_io_executor> strand_;
 
   mutable std::mutex mutex_;
-  SessionRecord record_;                     // guarded by mutex_, but for its constant parts
+  SessionRecord record_;                      // guarded by mutex_, but for its constant parts
   std::shared_ptr<storage::SessionLog> log_;  // guarded by mutex_; null once complete
-  // Guarded by mutex_: frames next_ .. received_-1, bounded by the stream's credit. The counts include the end of the drive.
+  // Guarded by mutex_: frames next_ .. received_-1, bounded by the stream's credit. The counts
+  // include the end of the drive.
   std::deque<Item> queue_;
   std::int64_t received_ = 0;
   std::int64_t durable_ = 0;
   std::int64_t processed_ = 0;
   std::int64_t bytes_in_flight_ = 0;
   std::optional<localization::PoseEstimate> newest_pose_;
-  bool ended_ = false;  // the log has the end of the drive
-  absl::Status fault_;
+  bool ended_ = false;             // the log has the end of the drive
+  absl::Status fault_;             // for good
+  absl::Status storage_trouble_;   // a full disk: the stream ends, and may come again
   std::int64_t stream_epoch_ = 0;  // 0: none is attached
   std::function<void()> wake_;
   bool scheduled_ = false;

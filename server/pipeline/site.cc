@@ -1,7 +1,6 @@
 #include "pipeline/site.h"
 
 #include <algorithm>
-
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/numbers.h"
@@ -106,15 +105,14 @@ absl::StatusOr<std::shared_ptr<Session>> Site::CreateSession(const SessionReques
   }
   if (request.purpose == Purpose::kListening) {
     if (!building_) {
-      return absl::FailedPreconditionError(
-          absl::StrCat("site '", record_.site,
-                       "' has no geometric map; replay a mapping drive and run `soundmap map build ",
-                       record_.site, "`, or import a map"));
+      return absl::FailedPreconditionError(absl::StrCat(
+          "site '", record_.site,
+          "' has no geometric map; replay a mapping drive and run `soundmap map build ",
+          record_.site, "`, or import a map"));
     }
     if (!request.initial_pose) {
-      return absl::FailedPreconditionError(
-          absl::StrCat("robot '", request.robot,
-                       "' does not say where it starts; give --initial-pose x,y,yaw"));
+      return absl::FailedPreconditionError(absl::StrCat(
+          "robot '", request.robot, "' does not say where it starts; give --initial-pose x,y,yaw"));
     }
   }
   SessionRecord record;
@@ -169,8 +167,8 @@ absl::Status Site::ActivateBuilding(building::Building building) {
   std::lock_guard lock(mutex_);
   SiteRecord record = record_;
   ++record.building_version;
-  absl::Status stored = store_->PutRecord(
-      storage::Table::kBuilding, BuildingKey(record.site, record.building_version), bytes);
+  absl::Status stored = store_->PutRecord(storage::Table::kBuilding,
+                                          BuildingKey(record.site, record.building_version), bytes);
   if (stored.ok()) stored = store_->PutRecord(storage::Table::kSite, record.site, ToJson(record));
   if (!stored.ok()) return stored;
   record_ = std::move(record);
@@ -178,9 +176,9 @@ absl::Status Site::ActivateBuilding(building::Building building) {
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::string> Site::BuildMap(
-    const std::string& session_name, const std::vector<mapping::StampedPose>& surveyed_poses,
-    OperationContext& context) {
+absl::StatusOr<std::string> Site::BuildMap(const std::string& session_name,
+                                           const std::vector<mapping::StampedPose>& surveyed_poses,
+                                           OperationContext& context) {
   std::shared_ptr<Session> session;
   if (!session_name.empty()) {
     auto named = GetSession(session_name);
@@ -235,14 +233,15 @@ absl::StatusOr<std::string> Site::BuildMap(
     return !context.cancelled();
   });
   if (!result.ok()) return result.status();
-  const std::string report = nlohmann::json{{"session", record.session},
-                                            {"scans", result->report.scans},
-                                            {"scans_dropped", result->report.scans_dropped},
-                                            {"scans_unregistered", result->report.scans_unregistered},
-                                            {"key_scans", result->report.key_scans},
-                                            {"mean_residual_m", result->report.mean_residual_m},
-                                            {"drift_removed_m", result->report.drift_removed_m}}
-                                 .dump();
+  const std::string report =
+      nlohmann::json{{"session", record.session},
+                     {"scans", result->report.scans},
+                     {"scans_dropped", result->report.scans_dropped},
+                     {"scans_unregistered", result->report.scans_unregistered},
+                     {"key_scans", result->report.key_scans},
+                     {"mean_residual_m", result->report.mean_residual_m},
+                     {"drift_removed_m", result->report.drift_removed_m}}
+          .dump();
   const absl::Status activated = ActivateBuilding(std::move(result->building));
   if (!activated.ok()) return activated;
   return report;

@@ -39,8 +39,9 @@ class Site : public std::enable_shared_from_this<Site> {
   const Profile& profile() const { return profile_; }
   Region& region() { return *region_; }
 
-  // The session, new or as it was, under a new epoch. FailedPrecondition: the site has no geometric map to listen in, or the robot does not say where it
-  // starts. AlreadyExists: the session was created with another robot, purpose or calibration.
+  // The session, new or as it was, under a new epoch. FailedPrecondition: the site has no geometric
+  // map to listen in, or the robot does not say where it starts. AlreadyExists: the session was
+  // created with another robot, purpose or calibration.
   absl::StatusOr<std::shared_ptr<Session>> CreateSession(const SessionRequest& request,
                                                          std::int64_t now_ns);
   absl::StatusOr<std::shared_ptr<Session>> GetSession(const std::string& session) const;
@@ -50,11 +51,13 @@ class Site : public std::enable_shared_from_this<Site> {
 
   // Null while there is none.
   std::shared_ptr<const building::Building> building() const;
-  // Stores the building as the site's next version and puts it to use; sessions that run keep the one they began with.
+  // Stores the building as the site's next version and puts it to use; sessions that run keep the
+  // one they began with.
   absl::Status ActivateBuilding(building::Building building);
 
-  // Makes the geometric map from a mapping session that is complete (the newest when `session` is empty), with surveyed poses instead of registration
-  // if there are any. The report of the operation is JSON.
+  // Makes the geometric map from a mapping session that is complete (the newest when `session` is
+  // empty), with surveyed poses instead of registration if there are any. The report of the
+  // operation is JSON.
   absl::StatusOr<std::string> BuildMap(const std::string& session,
                                        const std::vector<mapping::StampedPose>& surveyed_poses,
                                        OperationContext& context);
@@ -69,7 +72,8 @@ class Site : public std::enable_shared_from_this<Site> {
   Site(SiteRecord record, Profile profile, storage::Store* store, Session::FrameDecoder decode,
        boost::asio::any_io_executor executor);
   absl::StatusOr<std::shared_ptr<Session>> OpenSession(SessionRecord record);
-  absl::StatusOr<std::shared_ptr<const building::Building>> LoadBuilding(std::int64_t version) const;
+  absl::StatusOr<std::shared_ptr<const building::Building>> LoadBuilding(
+      std::int64_t version) const;
 
   const Profile profile_;
   storage::Store* const store_;

@@ -1,9 +1,8 @@
 #include "pipeline/sites.h"
 
+#include <boost/asio/post.hpp>
 #include <chrono>
 #include <future>
-
-#include <boost/asio/post.hpp>
 
 #include "absl/strings/str_cat.h"
 #include "storage/names.h"
@@ -41,14 +40,16 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
     auto site = Site::Open(*std::move(site_record), store, sites->options_.decode,
                            sites->options_.executor);
     if (!site.ok()) {
-      return absl::Status(site.status().code(), absl::StrCat("site '", record.key, "': ",
-                                                             std::string(site.status().message())));
+      return absl::Status(
+          site.status().code(),
+          absl::StrCat("site '", record.key, "': ", std::string(site.status().message())));
     }
     sites->sites_[record.key] = *std::move(site);
   }
   sites->group_commit_ = std::make_unique<storage::GroupCommit>(
       sites->options_.executor, store,
-      [sites = sites.get()](const storage::SessionId& id, const absl::StatusOr<std::int64_t>& durable) {
+      [sites = sites.get()](const storage::SessionId& id,
+                            const absl::StatusOr<std::int64_t>& durable) {
         const auto site = sites->Get(id.site);
         if (!site.ok()) return;
         if (const auto session = (*site)->FindSession(id.session)) session->OnDurable(durable);
@@ -108,9 +109,9 @@ absl::Status Sites::Delete(const std::string& name) {
     }
     for (const auto& session : found->second->Sessions()) {
       if (session->streaming()) {
-        return absl::FailedPreconditionError(absl::StrCat(
-            "site '", name, "' cannot be deleted while robot '", session->record().robot,
-            "' is streaming to it"));
+        return absl::FailedPreconditionError(
+            absl::StrCat("site '", name, "' cannot be deleted while robot '",
+                         session->record().robot, "' is streaming to it"));
       }
     }
     site = found->second;

@@ -1,15 +1,14 @@
 #pragma once
 
+#include <boost/asio/any_io_executor.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/asio/strand.hpp>
 #include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
-
-#include <boost/asio/any_io_executor.hpp>
-#include <boost/asio/steady_timer.hpp>
-#include <boost/asio/strand.hpp>
 
 #include "absl/status/statusor.h"
 #include "pipeline/site.h"
@@ -29,7 +28,8 @@ class Sites {
     std::function<std::int64_t()> now_ns;
   };
 
-  // Opens every site that the store knows and brings its sessions to where they were. `store` outlives this.
+  // Opens every site that the store knows and brings its sessions to where they were. `store`
+  // outlives this.
   static absl::StatusOr<std::unique_ptr<Sites>> Open(storage::Store* store, Options options);
   // Stop().
   ~Sites();
@@ -41,7 +41,8 @@ class Sites {
   // With its map, sessions and recordings. FailedPrecondition: a robot is streaming to it.
   absl::Status Delete(const std::string& site);
 
-  // Nothing more is processed; what is in the logs is processed after the next Open(). Idempotent. Not on the executor's own threads.
+  // Nothing more is processed; what is in the logs is processed after the next Open(). Idempotent.
+  // Not on the executor's own threads.
   void Stop();
 
  private:

@@ -6,7 +6,8 @@
 namespace soundmap::ray_casting {
 namespace {
 
-// A cubic grid around the unit sphere. Neighbouring directions lie in neighbouring cells, without poles or seams.
+// A cubic grid around the unit sphere. Neighbouring directions lie in neighbouring cells, without
+// poles or seams.
 constexpr int kSide = 64;
 constexpr double kCell = 2.0 / (kSide - 2);  // half a cell is left over on every side
 constexpr double kFirst = -1.0 - kCell;
@@ -15,8 +16,9 @@ int CellOf(double coordinate) {
   return std::clamp(static_cast<int>((coordinate - kFirst) * (1.0 / kCell)), 0, kSide - 1);
 }
 
-// Only the cells that the sphere passes through can hold a direction. Before(c) counts those of a lower number (x fastest), so that
-// cells in a row stay in a row and the table of entries stays small.
+// Only the cells that the sphere passes through can hold a direction. Before(c) counts those of a
+// lower number (x fastest), so that cells in a row stay in a row and the table of entries stays
+// small.
 class SphereCells {
  public:
   SphereCells() : before_(kSide * kSide * kSide + 1, 0) {
@@ -113,7 +115,8 @@ void RangeIndex::Search(const Eigen::Vector3d& direction, double reach, double& 
 
 std::optional<RangeIndex::Hit> RangeIndex::Nearest(const Eigen::Vector3d& direction) const {
   if (!direction.allFinite()) return std::nullopt;
-  // A look around the cell at hand mostly finds some point; a nearer one can then only be within that one's distance.
+  // A look around the cell at hand mostly finds some point; a nearer one can then only be within
+  // that one's distance.
   constexpr double kRounding = 1e-9;
   const double near_reach = std::min(0.35 * kCell, max_chord_);
   double best_dot = -2.0;

@@ -1,20 +1,21 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <optional>
 #include <span>
 #include <vector>
 
-#include <Eigen/Core>
-
 namespace soundmap::ray_casting {
 
 // The points of one LIDAR scan by their direction as seen from one point, section V.
-// The paper writes v_L(j) = M_j O_a / |M_j O_a|, an arrow from the point to the array, whose product with the direction v_a towards the source
-// would be largest on the wrong side; here v_L(j) points from the array origin O_a to M_j.
+// The paper writes v_L(j) = M_j O_a / |M_j O_a|, an arrow from the point to the array, whose
+// product with the direction v_a towards the source would be largest on the wrong side; here v_L(j)
+// points from the array origin O_a to M_j.
 class RangeIndex {
  public:
-  // Points that are not finite, or lie at the origin, are never found. `max_angle_rad` above 0 and below 60 degrees; epsilon = 1 - cos of it.
+  // Points that are not finite, or lie at the origin, are never found. `max_angle_rad` above 0 and
+  // below 60 degrees; epsilon = 1 - cos of it.
   RangeIndex(std::span<const Eigen::Vector3f> points, const Eigen::Vector3d& origin,
              double max_angle_rad);
 
@@ -23,8 +24,8 @@ class RangeIndex {
     double range_m = 0.0;  // rho_i, from the origin
   };
 
-  // The point with the least 1 - v_L . v_a, of several the lowest index; none when that is not below epsilon. `direction` is a unit
-  // vector on the axes of the points.
+  // The point with the least 1 - v_L . v_a, of several the lowest index; none when that is not
+  // below epsilon. `direction` is a unit vector on the axes of the points.
   std::optional<Hit> Nearest(const Eigen::Vector3d& direction) const;
 
  private:
@@ -38,8 +39,8 @@ class RangeIndex {
               const Entry*& best) const;
 
   double epsilon_;
-  double max_chord_;            // between two unit vectors max_angle_rad apart
-  std::vector<Entry> entries_;  // by cell
+  double max_chord_;                 // between two unit vectors max_angle_rad apart
+  std::vector<Entry> entries_;       // by cell
   std::vector<std::int32_t> begin_;  // of each cell in entries_, and the end
 };
 

@@ -1,10 +1,9 @@
 #include "ray_casting/ray_caster.h"
 
 #include <algorithm>
+#include <boost/unordered/unordered_flat_map.hpp>
 #include <cmath>
 #include <cstdlib>
-
-#include <boost/unordered/unordered_flat_map.hpp>
 
 #include "absl/strings/str_cat.h"
 #include "geometry/angles.h"
@@ -40,11 +39,10 @@ std::vector<sound_map::EndPoint> MergeShared(const std::vector<sound_map::EndPoi
 }  // namespace
 
 absl::Status RayCastingConfig::Validate() const {
-  for (const absl::Status& status :
-       {CheckRange("voxel_size_m", voxel_size_m, 1e-3, 10.0),
-        CheckRange("max_range_m", max_range_m, 1e-3, 1000.0),
-        CheckRange("max_angle_deg", max_angle_deg, 1e-3, 45.0),
-        CheckRange("max_lidar_age_s", max_lidar_age_s, 0.0, 3600.0)}) {
+  for (const absl::Status& status : {CheckRange("voxel_size_m", voxel_size_m, 1e-3, 10.0),
+                                     CheckRange("max_range_m", max_range_m, 1e-3, 1000.0),
+                                     CheckRange("max_angle_deg", max_angle_deg, 1e-3, 45.0),
+                                     CheckRange("max_lidar_age_s", max_lidar_age_s, 0.0, 3600.0)}) {
     if (!status.ok()) return status;
   }
   return absl::OkStatus();
@@ -80,23 +78,24 @@ absl::StatusOr<sound_map::EvidenceScan> RayCaster::Cast(
   }
   if (likelihood.likelihood.size() != static_cast<std::size_t>(directions_.size())) {
     return absl::InvalidArgumentError(absl::StrCat("the likelihood scan has ",
-                                                   likelihood.likelihood.size(), " directions, not ",
-                                                   directions_.size()));
+                                                   likelihood.likelihood.size(),
+                                                   " directions, not ", directions_.size()));
   }
   const geometry::Pose2& map_from_base = pose.map_from_base;
   if (!std::isfinite(map_from_base.x_m) || !std::isfinite(map_from_base.y_m) ||
       !std::isfinite(map_from_base.yaw_rad) ||
       !lidar.reference_base_from_audio_base.matrix().allFinite()) {
-    return absl::InvalidArgumentError("the pose or the odometry of a likelihood scan is not finite");
+    return absl::InvalidArgumentError(
+        "the pose or the odometry of a likelihood scan is not finite");
   }
   if (pose.state == localization::State::kLost) {
     return absl::FailedPreconditionError("the robot is lost, so that its sound has no place");
   }
   const double age_s = std::abs(frames::SecondsFromNs(likelihood.mid_ns() - lidar.reference_ns));
   if (!(age_s <= config_.max_lidar_age_s)) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        "the LIDAR scan is ", age_s, " s away from the audio scan; at most ",
-        config_.max_lidar_age_s, " s are allowed"));
+    return absl::FailedPreconditionError(absl::StrCat("the LIDAR scan is ", age_s,
+                                                      " s away from the audio scan; at most ",
+                                                      config_.max_lidar_age_s, " s are allowed"));
   }
 
   const Eigen::Isometry3d reference_from_array =

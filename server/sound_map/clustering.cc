@@ -1,11 +1,10 @@
 #include "sound_map/clustering.h"
 
 #include <algorithm>
+#include <boost/unordered/unordered_flat_map.hpp>
 #include <limits>
 #include <numeric>
 #include <optional>
-
-#include <boost/unordered/unordered_flat_map.hpp>
 
 namespace soundmap::sound_map {
 namespace {
@@ -19,7 +18,8 @@ std::optional<geometry::VoxelKey> Neighbour(const geometry::VoxelKey& key, int d
                             static_cast<std::uint16_t>(z)};
 }
 
-// The nearest of many centres: they stand in the order of x, and the search goes outwards from the point's x until x alone is too far.
+// The nearest of many centres: they stand in the order of x, and the search goes outwards from the
+// point's x until x alone is too far.
 class NearestCentre {
  public:
   explicit NearestCentre(std::span<const Eigen::Vector3d> centres) : order_(centres.size()) {
@@ -83,8 +83,7 @@ std::vector<LocalMaximum> FindLocalMaxima(std::span<const geometry::VoxelKey> ke
       const int voxel = plateau[next];
       for (int offset = 0; offset < 27; ++offset) {
         if (offset == 13) continue;
-        const auto key =
-            Neighbour(keys[voxel], offset % 3 - 1, offset / 3 % 3 - 1, offset / 9 - 1);
+        const auto key = Neighbour(keys[voxel], offset % 3 - 1, offset / 3 % 3 - 1, offset / 9 - 1);
         const auto found = key ? index_of.find(*key) : index_of.end();
         if (found == index_of.end()) continue;
         const int neighbour = found->second;

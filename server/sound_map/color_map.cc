@@ -48,8 +48,12 @@ Color At(double position) {
   const Anchor& high = *after;
   const double t = (position - low.at) / (high.at - low.at);
   const auto mix = [t](double from, double to) { return from + t * (to - from); };
-  const auto a = [](const Anchor& x) { return x.chroma * std::cos(geometry::RadFromDeg(x.hue_deg)); };
-  const auto b = [](const Anchor& x) { return x.chroma * std::sin(geometry::RadFromDeg(x.hue_deg)); };
+  const auto a = [](const Anchor& x) {
+    return x.chroma * std::cos(geometry::RadFromDeg(x.hue_deg));
+  };
+  const auto b = [](const Anchor& x) {
+    return x.chroma * std::sin(geometry::RadFromDeg(x.hue_deg));
+  };
   return FromOklab(mix(low.lightness, high.lightness), mix(a(low), a(high)), mix(b(low), b(high)));
 }
 

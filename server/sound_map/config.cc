@@ -36,7 +36,19 @@ absl::Status SoundSourceConfig::Validate() const {
   if (!IsIn(core_radius_m, 1e-3, 10.0)) {
     return Wrong("core_radius_m", core_radius_m, "must be 0.001 to 10");
   }
-  if (!IsIn(full_evidence, 0.0, 1e9)) return Wrong("full_evidence", full_evidence, "must be 0 to 1e9");
+  if (!IsIn(background_share, 1e-6, 0.999)) {
+    return Wrong("background_share", background_share, "must be 0.000001 to 0.999");
+  }
+  if (!IsIn(repetition, 0.01, 1e6))
+    return Wrong("repetition", repetition, "must be 0.01 to 1000000");
+  if (!IsIn(prior_log_odds, -1e3, 1e3)) {
+    return Wrong("prior_log_odds", prior_log_odds, "must be -1000 to 1000");
+  }
+  if (!IsIn(masking_radius_m, 1e-3, 100.0)) {
+    return Wrong("masking_radius_m", masking_radius_m, "must be 0.001 to 100");
+  }
+  if (!IsIn(masking_share, 0.0, 1.0))
+    return Wrong("masking_share", masking_share, "must be 0 to 1");
   return absl::OkStatus();
 }
 

@@ -7,7 +7,8 @@
 
 namespace soundmap::sound_map {
 
-// One ray of section V: the voxel in which it ends, and the likelihood L(theta_i, phi_i, k) that it carries there.
+// One ray of section V: the voxel in which it ends, and the likelihood L(theta_i, phi_i, k) that it
+// carries there.
 struct EndPoint {
   geometry::VoxelKey key;
   float likelihood = 0.5f;

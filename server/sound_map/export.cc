@@ -1,10 +1,10 @@
 #include "sound_map/export.h"
 
+#include <octomap/OcTree.h>
+
 #include <ostream>
 #include <string>
 #include <type_traits>
-
-#include <octomap/OcTree.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
@@ -101,7 +101,8 @@ absl::Status WriteOccupancy(const Snapshot& snapshot, std::uint32_t min_updates,
   });
   tree.updateInnerOccupancy();
   tree.prune();
-  if (!tree.writeBinaryConst(stream)) return absl::InternalError("OctoMap did not write the octree");
+  if (!tree.writeBinaryConst(stream))
+    return absl::InternalError("OctoMap did not write the octree");
   return CheckStream(stream);
 }
 

@@ -1,12 +1,12 @@
 #include "sound_map/plan_view.h"
 
+#include <cairo.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>
 #include <memory>
-
-#include <cairo.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -111,7 +111,8 @@ struct Raster {
     Raster raster;
     const double longest_m = std::max(view.max_x_m - view.min_x_m, view.max_y_m - view.min_y_m);
     // Whole multiples, so that cells of the map do not fall between cells of the image.
-    raster.cell_size_m = cell_size_m * std::max(1.0, std::ceil(longest_m / cell_size_m / kMaxImageSide));
+    raster.cell_size_m =
+        cell_size_m * std::max(1.0, std::ceil(longest_m / cell_size_m / kMaxImageSide));
     raster.min_x_m = std::floor(view.min_x_m / cell_size_m) * cell_size_m;
     raster.max_y_m = std::ceil(view.max_y_m / cell_size_m) * cell_size_m;
     raster.width = static_cast<int>((view.max_x_m - raster.min_x_m) / raster.cell_size_m) + 1;
@@ -147,7 +148,8 @@ std::uint32_t Argb(double red, double green, double blue, double alpha) {
   const auto byte = [](double value) {
     return static_cast<std::uint32_t>(std::lround(255.0 * std::clamp(value, 0.0, 1.0)));
   };
-  return byte(alpha) << 24 | byte(red * alpha) << 16 | byte(green * alpha) << 8 | byte(blue * alpha);
+  return byte(alpha) << 24 | byte(red * alpha) << 16 | byte(green * alpha) << 8 |
+         byte(blue * alpha);
 }
 
 template <typename Visit>
@@ -190,8 +192,7 @@ View FitView(const Snapshot& snapshot, const std::optional<PlanImage>& plan,
   view.max_x_m += kMarginAround_m;
   view.max_y_m += kMarginAround_m;
   const double longest_m = std::max(view.max_x_m - view.min_x_m, view.max_y_m - view.min_y_m);
-  view.pixels_per_m =
-      std::min(std::clamp(options.max_plot_pixels, 200, 8000) / longest_m, 400.0);
+  view.pixels_per_m = std::min(std::clamp(options.max_plot_pixels, 200, 8000) / longest_m, 400.0);
   view.width = (view.max_x_m - view.min_x_m) * view.pixels_per_m;
   view.height = (view.max_y_m - view.min_y_m) * view.pixels_per_m;
   return view;
@@ -238,9 +239,8 @@ void DrawAxes(cairo_t* cr, const View& view) {
   SetColor(cr, kFrame);
   cairo_rectangle(cr, view.left - 0.5, view.top - 0.5, view.width + 1.0, view.height + 1.0);
   cairo_stroke(cr);
-  const double step_m =
-      NiceStep(std::max(view.width, view.height) / view.pixels_per_m,
-               std::max(view.width, view.height) / 110.0);
+  const double step_m = NiceStep(std::max(view.width, view.height) / view.pixels_per_m,
+                                 std::max(view.width, view.height) / 110.0);
   const double bottom = view.top + view.height;
   const auto label = [&](double value_m) {
     return absl::StrFormat("%g", std::abs(value_m) < 1e-9 ? 0.0 : value_m);
@@ -267,7 +267,8 @@ void DrawAxes(cairo_t* cr, const View& view) {
     cairo_move_to(cr, view.left - 6.0, y);
     cairo_line_to(cr, view.left, y);
     cairo_stroke(cr);
-    DrawText(cr, label(i * step_m), view.left - 11.0, y + 4.5, 13.0, Align::kRight, false, kSoftInk);
+    DrawText(cr, label(i * step_m), view.left - 11.0, y + 4.5, 13.0, Align::kRight, false,
+             kSoftInk);
   }
   DrawText(cr, "x [m]", view.left + 0.5 * view.width, bottom + 46.0, 14.0, Align::kCentre);
   cairo_save(cr);
@@ -357,13 +358,17 @@ void DrawColorBar(cairo_t* cr, double left, double top) {
     cairo_move_to(cr, left + bar_width, y);
     cairo_line_to(cr, left + bar_width + 6.0, y);
     cairo_stroke(cr);
-    const char* sign = tick == 4 ? "≥ +" : tick == -4 ? "≤ −" : tick > 0 ? "+" : tick < 0 ? "−" : "";
-    const char* meaning = tick == 4   ? "a source"
-                          : tick == 0 ? "undecided"
+    const char* sign = tick == 4    ? "≥ +"
+                       : tick == -4 ? "≤ −"
+                       : tick > 0   ? "+"
+                       : tick < 0   ? "−"
+                                    : "";
+    const char* meaning = tick == 4    ? "a source"
+                          : tick == 0  ? "undecided"
                           : tick == -4 ? "silent"
                                        : "";
-    DrawText(cr, absl::StrFormat("%s%g", sign, std::abs(log_odds)), left + bar_width + 54.0, y + 4.5,
-             13.0, Align::kRight);
+    DrawText(cr, absl::StrFormat("%s%g", sign, std::abs(log_odds)), left + bar_width + 54.0,
+             y + 4.5, 13.0, Align::kRight);
     DrawText(cr, meaning, left + bar_width + 68.0, y + 4.5, 13.0, Align::kLeft, false, kSoftInk);
   }
 }
@@ -464,7 +469,8 @@ absl::StatusOr<std::string> RenderPlanView(const Snapshot& snapshot,
 
   std::string png;
   cairo_surface_flush(surface.get());
-  const cairo_status_t status = cairo_surface_write_to_png_stream(surface.get(), &AppendBytes, &png);
+  const cairo_status_t status =
+      cairo_surface_write_to_png_stream(surface.get(), &AppendBytes, &png);
   if (status != CAIRO_STATUS_SUCCESS) {
     return absl::InternalError(
         absl::StrCat("the plan view could not be drawn: ", cairo_status_to_string(status)));

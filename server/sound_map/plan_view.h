@@ -1,12 +1,11 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "absl/status/statusor.h"
 #include "sound_map/snapshot.h"
@@ -30,9 +29,10 @@ struct PlanViewOptions {
   int max_plot_pixels = 1400;     // longer side of the map in the picture, 200 .. 8000
 };
 
-// The map from above as a PNG, like the paper's Figs. 8 and 10: per column of voxels the largest log-odds as colour over the floor plan,
-// with axes in metres, scale bar, colour bar, and the sources numbered and listed in the order given.
-// InvalidArgument: a plan whose cells do not fit its size.
+// The map from above as a PNG, like the paper's Figs. 8 and 10: per column of voxels the largest
+// log-odds as colour over the floor plan, with axes in metres, scale bar, colour bar, and the
+// sources numbered and listed in the order given. InvalidArgument: a plan whose cells do not fit
+// its size.
 absl::StatusOr<std::string> RenderPlanView(const Snapshot& snapshot,
                                            const std::optional<PlanImage>& plan,
                                            std::span<const SoundSource> sources,

@@ -16,9 +16,9 @@ Snapshot::Snapshot(double voxel_size_m, std::uint64_t revision,
 }
 
 const Tile* Snapshot::FindTile(const TileKey& key) const {
-  const auto found =
-      std::lower_bound(tiles_.begin(), tiles_.end(), key,
-                       [](const auto& tile, const TileKey& wanted) { return tile->key() < wanted; });
+  const auto found = std::lower_bound(
+      tiles_.begin(), tiles_.end(), key,
+      [](const auto& tile, const TileKey& wanted) { return tile->key() < wanted; });
   return found != tiles_.end() && (*found)->key() == key ? found->get() : nullptr;
 }
 
@@ -48,12 +48,12 @@ bool Snapshot::ForEach(Visitor visit) const {
 bool Snapshot::ForEachInBox(const geometry::VoxelKey& min, const geometry::VoxelKey& max,
                             Visitor visit) const {
   const auto overlaps = [&](const geometry::VoxelKey& corner, int size) {
-    return corner.x <= max.x && corner.y <= max.y && corner.z <= max.z &&
-           corner.x + size > min.x && corner.y + size > min.y && corner.z + size > min.z;
+    return corner.x <= max.x && corner.y <= max.y && corner.z <= max.z && corner.x + size > min.x &&
+           corner.y + size > min.y && corner.z + size > min.z;
   };
   const auto inside = [&](const geometry::VoxelKey& key) {
-    return key.x >= min.x && key.y >= min.y && key.z >= min.z && key.x <= max.x &&
-           key.y <= max.y && key.z <= max.z;
+    return key.x >= min.x && key.y >= min.y && key.z >= min.z && key.x <= max.x && key.y <= max.y &&
+           key.z <= max.z;
   };
   const TileKey first = TileOf(min);
   const TileKey last = TileOf(max);

@@ -12,7 +12,8 @@ namespace soundmap::sound_map {
 
 class Tile;
 
-// The sound map as it was after one scan. Immutable: any thread may read it for as long as it likes.
+// The sound map as it was after one scan. Immutable: any thread may read it for as long as it
+// likes.
 class Snapshot {
  public:
   // In the order of their keys.
@@ -35,11 +36,12 @@ class Snapshot {
   std::optional<Voxel> Find(const geometry::VoxelKey& key) const;
   std::optional<Support> FindSupport(const geometry::VoxelKey& key) const;
 
-  // Every voxel in map order: by tile, then 8^3 block (x fastest), then voxel (x fastest). Stops when the visitor returns false, and
-  // returns whether it did not.
+  // Every voxel in map order: by tile, then 8^3 block (x fastest), then voxel (x fastest). Stops
+  // when the visitor returns false, and returns whether it did not.
   using Visitor = absl::FunctionRef<bool(const geometry::VoxelKey&, const Voxel&)>;
   bool ForEach(Visitor visit) const;
-  // The same for the voxels with min <= key <= max on every axis; tiles and blocks outside cost nothing.
+  // The same for the voxels with min <= key <= max on every axis; tiles and blocks outside cost
+  // nothing.
   bool ForEachInBox(const geometry::VoxelKey& min, const geometry::VoxelKey& max,
                     Visitor visit) const;
 

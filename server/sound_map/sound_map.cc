@@ -110,7 +110,8 @@ absl::Status SoundMap::Apply(const EvidenceScan& evidence) {
     const bool is_new = cell.update_count == 0;
     if (cell.update_count != UINT32_MAX) ++cell.update_count;
     if (is_new || tile.stamp(cell.stamp) < evidence.stamp_ns) cell.stamp = slot.stamp;
-    if (end_point.likelihood > 0.5f) tile.AddSupport(block * Block::kVoxels + voxel, evidence.stamp_ns);
+    if (end_point.likelihood > 0.5f)
+      tile.AddSupport(block * Block::kVoxels + voxel, evidence.stamp_ns);
   }
   return absl::OkStatus();
 }
@@ -122,8 +123,8 @@ std::shared_ptr<const Snapshot> SoundMap::TakeSnapshot() const {
     Snapshot::Tiles tiles;
     tiles.reserve(tiles_.size());
     for (const auto& [key, entry] : tiles_) tiles.push_back(entry.tile);
-    snapshot = std::make_shared<Snapshot>(config_.voxel_size_m, revision_, as_of_ns_,
-                                          std::move(tiles));
+    snapshot =
+        std::make_shared<Snapshot>(config_.voxel_size_m, revision_, as_of_ns_, std::move(tiles));
     snapshot_ = snapshot;
     ++generation_;
   }
@@ -182,7 +183,8 @@ std::size_t SoundMap::MemoryBytes() const {
   absl::MutexLock lock(&mutex_);
   std::size_t bytes = sizeof(SoundMap);
   for (const auto& [key, entry] : tiles_) {
-    bytes += entry.tile->memory_bytes() + sizeof(key) + sizeof(entry) + 32;  // 32: a node of the map
+    bytes +=
+        entry.tile->memory_bytes() + sizeof(key) + sizeof(entry) + 32;  // 32: a node of the map
   }
   return bytes;
 }

@@ -20,8 +20,9 @@
 
 namespace soundmap::sound_map {
 
-// The live sound map of one region, section V. One writer at a time calls the functions that are not const; any thread may ask for a
-// snapshot. The result depends on nothing but the order of the scans.
+// The live sound map of one region, section V. One writer at a time calls the functions that are
+// not const; any thread may ask for a snapshot. The result depends on nothing but the order of the
+// scans.
 class SoundMap {
  public:
   // InvalidArgument as SoundMapConfig::Validate().
@@ -30,18 +31,22 @@ class SoundMap {
 
   const SoundMapConfig& config() const { return config_; }
 
-  // Adds one scan's evidence, each end point in turn. InvalidArgument, and no change, when a likelihood is not inside (0, 1).
+  // Adds one scan's evidence, each end point in turn. InvalidArgument, and no change, when a
+  // likelihood is not inside (0, 1).
   absl::Status Apply(const EvidenceScan& evidence);
 
-  // The map after the last whole scan: the same object until the next one. Costs a pointer a tile, during which a writer waits; the
-  // writer then copies each 8^3 block of this view once before it changes it. Ask for what is shown, not at every scan.
+  // The map after the last whole scan: the same object until the next one. Costs a pointer a tile,
+  // during which a writer waits; the writer then copies each 8^3 block of this view once before it
+  // changes it. Ask for what is shown, not at every scan.
   std::shared_ptr<const Snapshot> TakeSnapshot() const;
 
-  // The tiles that changed since the last call, by key, for a checkpoint. When the checkpoint fails, give their keys to MarkDirty().
+  // The tiles that changed since the last call, by key, for a checkpoint. When the checkpoint
+  // fails, give their keys to MarkDirty().
   std::vector<TileBlob> TakeDirtyTiles();
   void MarkDirty(std::span<const TileKey> keys);
 
-  // Puts a tile back as it was saved, in place of what stands there; it is not dirty. DataLoss or InvalidArgument as ParseTile().
+  // Puts a tile back as it was saved, in place of what stands there; it is not dirty. DataLoss or
+  // InvalidArgument as ParseTile().
   absl::Status Load(const TileBlob& blob);
   // After the tiles are loaded: the counters of the map as they were at the checkpoint.
   void Restore(std::uint64_t revision, std::optional<frames::TimeNs> as_of_ns);
@@ -64,7 +69,8 @@ class SoundMap {
   std::uint64_t revision_ ABSL_GUARDED_BY(mutex_) = 0;
   std::optional<frames::TimeNs> as_of_ns_ ABSL_GUARDED_BY(mutex_);
   mutable std::uint64_t generation_ ABSL_GUARDED_BY(mutex_) = 1;
-  mutable std::weak_ptr<const Snapshot> snapshot_ ABSL_GUARDED_BY(mutex_);  // of the present state; readers own it
+  mutable std::weak_ptr<const Snapshot> snapshot_
+      ABSL_GUARDED_BY(mutex_);  // of the present state; readers own it
 };
 
 }  // namespace soundmap::sound_map

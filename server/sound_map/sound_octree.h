@@ -1,18 +1,19 @@
 #pragma once
 
+#include <octomap/OcTreeNode.h>
+#include <octomap/OccupancyOcTreeBase.h>
+
 #include <cstdint>
 #include <iosfwd>
 #include <string>
 
-#include <octomap/OccupancyOcTreeBase.h>
-#include <octomap/OcTreeNode.h>
-
 namespace soundmap::sound_map {
 
-// A node of the sound map as an OctoMap octree. Log-odds stand where OctoMap keeps its own, so that its tools colour them. An inner node
-// holds the largest log-odds and update count and the latest update of its children.
-// On the stream, little-endian: f32 log-odds L, u32 update count M, i64 last update U in ns since the Unix epoch, then u8: bit i says that
-// child i exists and follows, as in every .ot file.
+// A node of the sound map as an OctoMap octree. Log-odds stand where OctoMap keeps its own, so that
+// its tools colour them. An inner node holds the largest log-odds and update count and the latest
+// update of its children. On the stream, little-endian: f32 log-odds L, u32 update count M, i64
+// last update U in ns since the Unix epoch, then u8: bit i says that child i exists and follows, as
+// in every .ot file.
 class SoundOcTreeNode : public octomap::OcTreeNode {
  public:
   bool operator==(const SoundOcTreeNode& other) const {
@@ -27,8 +28,9 @@ class SoundOcTreeNode : public octomap::OcTreeNode {
   std::int64_t last_update_ns = 0;
 };
 
-// The sound map with L, M and U as an .ot file of the type "SoundOcTree". A program that links this class reads it with
-// octomap::AbstractOcTree::read. Voxels are never merged: each keeps its own count and time.
+// The sound map with L, M and U as an .ot file of the type "SoundOcTree". A program that links this
+// class reads it with octomap::AbstractOcTree::read. Voxels are never merged: each keeps its own
+// count and time.
 class SoundOcTree : public octomap::OccupancyOcTreeBase<SoundOcTreeNode> {
  public:
   explicit SoundOcTree(double voxel_size_m);

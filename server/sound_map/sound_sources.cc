@@ -3,142 +3,33 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <span>
+#include <optional>
 
 #include "sound_map/clustering.h"
-#include "sound_map/smoothing.h"
+#include "sound_map/support_field.h"
 #include "sound_map/tile.h"
 
 namespace soundmap::sound_map {
 namespace {
 
-// The voxels that speak for a source, L > 0, in map order.
-struct PositiveVoxels {
-  std::vector<geometry::VoxelKey> keys;
-  std::vector<float> log_odds;
-  std::vector<Support> support;
-
-  int size() const { return static_cast<int>(keys.size()); }
-};
-
-struct Cluster {
-  Eigen::Vector3d position_in_map_m = Eigen::Vector3d::Zero();
-  double probability = 0.0;
-  std::vector<int> voxels;  // ascending
-};
-
-PositiveVoxels FindPositiveVoxels(const Snapshot& snapshot, const SoundSourceConfig& config) {
-  PositiveVoxels positive;
-  for (const auto& tile : snapshot.tiles()) {
-    const SupportTable& support = tile->support();
-    tile->ForEach([&](const geometry::VoxelKey& key, const Voxel& voxel) {
-      if (voxel.log_odds <= 0.0f || voxel.update_count <= config.min_updates) return true;
-      const auto heard = support.find(static_cast<std::uint16_t>(
-          Tile::BlockOf(key) * Block::kVoxels + Tile::VoxelOf(key)));
-      positive.keys.push_back(key);
-      positive.log_odds.push_back(voxel.log_odds);
-      positive.support.push_back(heard == support.end() ? Support{} : heard->second);
-      return true;
-    });
-  }
-  if (positive.size() <= config.max_voxels) return positive;
-
-  std::vector<int> order(positive.size());
+// At most `limit` of the voxels, those of the largest rank, in the order in which they stood.
+template <typename Rank>
+void KeepLargest(std::vector<ObservedVoxel>& voxels, int limit, Rank rank) {
+  if (voxels.size() <= static_cast<std::size_t>(limit)) return;
+  std::vector<int> order(voxels.size());
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(),
-                   [&](int a, int b) { return positive.log_odds[a] > positive.log_odds[b]; });
-  order.resize(config.max_voxels);
+                   [&](int a, int b) { return rank(voxels[a]) > rank(voxels[b]); });
+  order.resize(limit);
   std::sort(order.begin(), order.end());
-  PositiveVoxels kept;
-  for (const int i : order) {
-    kept.keys.push_back(positive.keys[i]);
-    kept.log_odds.push_back(positive.log_odds[i]);
-    kept.support.push_back(positive.support[i]);
-  }
-  return kept;
+  std::vector<ObservedVoxel> kept;
+  kept.reserve(order.size());
+  for (const int i : order) kept.push_back(voxels[i]);
+  voxels = std::move(kept);
 }
 
-std::vector<Cluster> KMeansClusters(const PositiveVoxels& positive, double voxel_size_m,
-                                    const SoundSourceConfig& config) {
-  std::vector<LocalMaximum> maxima = FindLocalMaxima(positive.keys, positive.log_odds);
-  std::stable_sort(maxima.begin(), maxima.end(),
-                   [](const auto& a, const auto& b) { return a.value > b.value; });
-  if (maxima.size() > static_cast<std::size_t>(config.max_seeds)) maxima.resize(config.max_seeds);
-
-  const auto point_from = [&](const Eigen::Vector3d& key) -> Eigen::Vector3d {
-    return (key + Eigen::Vector3d::Constant(0.5 - geometry::VoxelKey::kCentre)) * voxel_size_m;
-  };
-  std::vector<Eigen::Vector3d> seeds;
-  for (const LocalMaximum& maximum : maxima) seeds.push_back(point_from(maximum.centroid_key));
-  std::vector<Eigen::Vector3d> points;
-  for (const auto& key : positive.keys) {
-    points.push_back(geometry::PointFromKey(key, voxel_size_m));
-  }
-  const KMeansResult result = KMeans(points, std::move(seeds), config.max_iterations);
-
-  std::vector<Cluster> clusters(result.centres.size());
-  for (int i = 0; i < positive.size(); ++i) {
-    clusters[result.cluster_of_point[i]].voxels.push_back(i);
-  }
-  for (std::size_t c = 0; c < clusters.size(); ++c) {
-    clusters[c].position_in_map_m = result.centres[c];
-    for (const int i : clusters[c].voxels) {
-      clusters[c].probability =
-          std::max(clusters[c].probability, ProbabilityFromLogOdds(positive.log_odds[i]));
-    }
-  }
-  return clusters;
-}
-
-std::vector<Cluster> SmoothPeakClusters(const Snapshot& snapshot, const PositiveVoxels& positive,
-                                        const SoundSourceConfig& config) {
-  const double voxel_size_m = snapshot.voxel_size_m();
-  const std::vector<float> smooth =
-      SmoothLogOdds(snapshot, positive.keys, config.smoothing_sigma_m / voxel_size_m);
-  std::vector<int> order(positive.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return smooth[a] > smooth[b]; });
-
-  std::vector<Eigen::Vector3d> points;
-  for (const auto& key : positive.keys) {
-    points.push_back(geometry::PointFromKey(key, voxel_size_m));
-  }
-  std::vector<Eigen::Vector3d> peaks;
-  std::vector<Cluster> clusters;
-  for (const int top : order) {
-    if (smooth[top] <= 0.0f || peaks.size() >= static_cast<std::size_t>(config.max_seeds)) break;
-    const bool taken = std::any_of(peaks.begin(), peaks.end(), [&](const Eigen::Vector3d& peak) {
-      return (peak - points[top]).norm() < config.separation_m;
-    });
-    if (taken) continue;
-    peaks.push_back(points[top]);
-    Cluster& cluster = clusters.emplace_back();
-    cluster.probability = ProbabilityFromLogOdds(smooth[top]);
-  }
-
-  for (int i = 0; i < positive.size(); ++i) {
-    int nearest = -1;
-    double nearest_m = config.core_radius_m;
-    for (std::size_t c = 0; c < peaks.size(); ++c) {
-      const double distance_m = (peaks[c] - points[i]).norm();
-      if (distance_m >= nearest_m) continue;
-      nearest = static_cast<int>(c);
-      nearest_m = distance_m;
-    }
-    if (nearest >= 0) clusters[nearest].voxels.push_back(i);
-  }
-  for (Cluster& cluster : clusters) {
-    double weight = 0.0;
-    std::uint64_t evidence = 0;
-    for (const int i : cluster.voxels) {
-      cluster.position_in_map_m += positive.log_odds[i] * points[i];
-      weight += positive.log_odds[i];
-      evidence += positive.support[i].count;
-    }
-    cluster.position_in_map_m /= weight;
-    if (evidence < config.min_evidence) cluster.voxels.clear();
-  }
-  return clusters;
+Eigen::Vector3d CentreOf(const ObservedVoxel& voxel, double voxel_size_m) {
+  return geometry::PointFromKey(voxel.key, voxel_size_m);
 }
 
 std::uint64_t Mix(std::uint64_t hash, std::uint64_t value) {
@@ -146,54 +37,194 @@ std::uint64_t Mix(std::uint64_t hash, std::uint64_t value) {
   return hash ^ (hash >> 32);
 }
 
-SoundSource Describe(const Cluster& cluster, const PositiveVoxels& positive, double voxel_size_m) {
-  SoundSource source;
-  source.position_in_map_m = cluster.position_in_map_m;
-  source.probability = cluster.probability;
-  source.voxel_count = static_cast<int>(cluster.voxels.size());
-  double weight = 0.0;
+// All but position and probability, from voxels that carry these weights. There must be a voxel,
+// and a weight above 0.
+void Describe(const std::vector<const ObservedVoxel*>& voxels, const std::vector<double>& weights,
+              double voxel_size_m, SoundSource& source) {
+  source.voxel_count = static_cast<int>(voxels.size());
+  double weight_sum = 0.0;
   double spread_m2 = 0.0;
-  const geometry::VoxelKey* first_key = &positive.keys[cluster.voxels.front()];
-  bool heard = false;
-  for (const int i : cluster.voxels) {
-    const double log_odds = positive.log_odds[i];
-    weight += log_odds;
-    spread_m2 += log_odds * (geometry::PointFromKey(positive.keys[i], voxel_size_m) -
-                             cluster.position_in_map_m)
-                                .squaredNorm();
-    source.peak_log_odds = std::max(source.peak_log_odds, positive.log_odds[i]);
-    const Support& support = positive.support[i];
-    if (support.count == 0) continue;
-    source.evidence_count += support.count;
-    if (!heard || support.first_heard_ns < source.first_heard_ns) {
-      source.first_heard_ns = support.first_heard_ns;
-      first_key = &positive.keys[i];
+  const ObservedVoxel* first = nullptr;
+  for (std::size_t i = 0; i < voxels.size(); ++i) {
+    const ObservedVoxel& voxel = *voxels[i];
+    weight_sum += weights[i];
+    spread_m2 +=
+        weights[i] * (CentreOf(voxel, voxel_size_m) - source.position_in_map_m).squaredNorm();
+    source.peak_log_odds =
+        i == 0 ? voxel.fields.log_odds : std::max(source.peak_log_odds, voxel.fields.log_odds);
+    if (voxel.support.count == 0) continue;
+    source.evidence_count += voxel.support.count;
+    source.last_heard_ns = first == nullptr
+                               ? voxel.support.last_heard_ns
+                               : std::max(source.last_heard_ns, voxel.support.last_heard_ns);
+    if (first == nullptr || voxel.support.first_heard_ns < first->support.first_heard_ns ||
+        (voxel.support.first_heard_ns == first->support.first_heard_ns && voxel.key < first->key)) {
+      first = &voxel;
     }
-    source.last_heard_ns =
-        heard ? std::max(source.last_heard_ns, support.last_heard_ns) : support.last_heard_ns;
-    heard = true;
   }
-  // A square of edge a has the mean squared distance a^2 / 6 from its centre; a single voxel is as wide as itself.
-  source.extent_m = std::max(std::sqrt(6.0 * spread_m2 / weight), voxel_size_m);
+  if (first == nullptr) first = voxels.front();
+  source.first_heard_ns = first->support.first_heard_ns;
+  // A square of edge a has the mean squared distance a^2 / 6 from its centre; a single voxel is as
+  // wide as itself.
+  source.extent_m = std::max(std::sqrt(6.0 * spread_m2 / weight_sum), voxel_size_m);
   source.id = Mix(Mix(0x736f756e646d6170u, static_cast<std::uint64_t>(source.first_heard_ns)),
-                  std::hash<geometry::VoxelKey>()(*first_key));
-  return source;
+                  std::hash<geometry::VoxelKey>()(first->key));
+}
+
+std::vector<SoundSource> FindByKMeans(const Snapshot& snapshot, const SoundSourceConfig& config) {
+  std::vector<ObservedVoxel> positive;
+  for (const auto& tile : snapshot.tiles()) {
+    tile->ForEach([&](const geometry::VoxelKey& key, const Voxel& voxel) {
+      if (voxel.log_odds <= 0.0f || voxel.update_count <= config.min_updates) return true;
+      const auto heard = tile->support().find(
+          static_cast<std::uint16_t>(Tile::BlockOf(key) * Block::kVoxels + Tile::VoxelOf(key)));
+      positive.push_back({key, voxel, heard == tile->support().end() ? Support{} : heard->second});
+      return true;
+    });
+  }
+  KeepLargest(positive, config.max_voxels,
+              [](const ObservedVoxel& voxel) { return voxel.fields.log_odds; });
+
+  const double voxel_size_m = snapshot.voxel_size_m();
+  std::vector<geometry::VoxelKey> keys;
+  std::vector<float> log_odds;
+  std::vector<Eigen::Vector3d> points;
+  for (const ObservedVoxel& voxel : positive) {
+    keys.push_back(voxel.key);
+    log_odds.push_back(voxel.fields.log_odds);
+    points.push_back(CentreOf(voxel, voxel_size_m));
+  }
+  std::vector<LocalMaximum> maxima = FindLocalMaxima(keys, log_odds);
+  std::stable_sort(maxima.begin(), maxima.end(),
+                   [](const auto& a, const auto& b) { return a.value > b.value; });
+  if (maxima.size() > static_cast<std::size_t>(config.max_seeds)) maxima.resize(config.max_seeds);
+  std::vector<Eigen::Vector3d> seeds;
+  for (const LocalMaximum& maximum : maxima) {
+    seeds.push_back(
+        (maximum.centroid_key + Eigen::Vector3d::Constant(0.5 - geometry::VoxelKey::kCentre)) *
+        voxel_size_m);
+  }
+  const KMeansResult clusters = KMeans(points, std::move(seeds), config.max_iterations);
+
+  std::vector<std::vector<const ObservedVoxel*>> members(clusters.centres.size());
+  for (std::size_t i = 0; i < positive.size(); ++i) {
+    members[clusters.cluster_of_point[i]].push_back(&positive[i]);
+  }
+  std::vector<SoundSource> sources;
+  for (std::size_t c = 0; c < members.size(); ++c) {
+    if (members[c].empty()) continue;
+    SoundSource& source = sources.emplace_back();
+    source.position_in_map_m = clusters.centres[c];
+    Describe(members[c], std::vector<double>(members[c].size(), 1.0), voxel_size_m, source);
+    source.probability = ProbabilityFromLogOdds(source.peak_log_odds);
+  }
+  return sources;
+}
+
+// The weighted mean of the voxels within the core radius, followed until it rests.
+class Core {
+ public:
+  Core(const SupportField& field, const SoundSourceConfig& config, const Eigen::Vector3d& peak)
+      : position_in_map_m(peak) {
+    constexpr int kMaxSteps = 5;
+    for (int step = 0; step < kMaxSteps; ++step) {
+      voxels = field.Around(position_in_map_m, config.core_radius_m);
+      weights.clear();
+      double weight_sum = 0.0;
+      Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+      for (const ObservedVoxel* voxel : voxels) {
+        // Support, by the share of the observations that it is: a place where every scan ends
+        // counts no more than one seldom hit.
+        const double count = voxel->support.count;
+        weights.push_back(count * count / voxel->fields.update_count);
+        weight_sum += weights.back();
+        mean += weights.back() * CentreOf(*voxel, field.voxel_size_m());
+      }
+      if (voxels.empty()) return;
+      mean /= weight_sum;
+      const double moved_m = (mean - position_in_map_m).norm();
+      position_in_map_m = mean;
+      if (moved_m < 1e-3) return;
+    }
+  }
+
+  std::vector<const ObservedVoxel*> voxels;  // with support
+  std::vector<double> weights;
+  Eigen::Vector3d position_in_map_m;
+};
+
+// Log-odds over the background, without the prior; none where the share does not exceed it.
+std::optional<double> Evidence(const SupportField::Counts& counts,
+                               const SoundSourceConfig& config) {
+  const double share = std::min(counts.supporting / counts.all, 1.0 - 1e-9);
+  if (!(share > config.background_share)) return std::nullopt;
+  return (counts.supporting * std::log(share / config.background_share) +
+          (counts.all - counts.supporting) *
+              std::log((1.0 - share) / (1.0 - config.background_share))) /
+         config.repetition;
+}
+
+std::vector<SoundSource> FindBySmoothPeaks(const Snapshot& snapshot,
+                                           const SoundSourceConfig& config) {
+  std::vector<ObservedVoxel> supported = FindSupportedVoxels(snapshot, config.min_updates);
+  KeepLargest(supported, config.max_voxels,
+              [](const ObservedVoxel& voxel) { return voxel.support.count; });
+  const SupportField field(snapshot, std::move(supported));
+
+  struct Candidate {
+    Eigen::Vector3d point_in_map;
+    double evidence;
+  };
+  std::vector<Candidate> candidates;
+  field.ForEachCount(config.smoothing_sigma_m,
+                     [&](const ObservedVoxel& voxel, const SupportField::Counts& counts) {
+                       const auto evidence = Evidence(counts, config);
+                       // What cannot come to a probability of 1 % is no candidate.
+                       if (!evidence || *evidence + config.prior_log_odds < -4.6) return;
+                       candidates.push_back({CentreOf(voxel, field.voxel_size_m()), *evidence});
+                     });
+  std::stable_sort(candidates.begin(), candidates.end(),
+                   [](const auto& a, const auto& b) { return a.evidence > b.evidence; });
+
+  std::vector<Candidate> accepted;
+  std::vector<SoundSource> sources;
+  const auto masks = [&](const Candidate& stronger, const Eigen::Vector3d& place,
+                         const Candidate& weaker) {
+    const double distance_m = (stronger.point_in_map - place).norm();
+    const double share = config.masking_share * (1.0 - distance_m / config.masking_radius_m);
+    return distance_m < config.separation_m || weaker.evidence < share * stronger.evidence;
+  };
+  for (const Candidate& candidate : candidates) {
+    if (sources.size() >= static_cast<std::size_t>(config.max_sources)) break;
+    if (std::any_of(accepted.begin(), accepted.end(), [&](const Candidate& stronger) {
+          return masks(stronger, candidate.point_in_map, candidate);
+        })) {
+      continue;
+    }
+    accepted.push_back(candidate);
+    const Core core(field, config, candidate.point_in_map);
+    if (core.voxels.empty() ||
+        std::any_of(sources.begin(), sources.end(), [&](const SoundSource& stronger) {
+          return (stronger.position_in_map_m - core.position_in_map_m).norm() < config.separation_m;
+        })) {
+      continue;
+    }
+    SoundSource source;
+    source.position_in_map_m = core.position_in_map_m;
+    source.probability = ProbabilityFromLogOdds(config.prior_log_odds + candidate.evidence);
+    Describe(core.voxels, core.weights, field.voxel_size_m(), source);
+    if (source.evidence_count >= config.min_evidence) sources.push_back(source);
+  }
+  return sources;
 }
 
 }  // namespace
 
 std::vector<SoundSource> FindSoundSources(const Snapshot& snapshot,
                                           const SoundSourceConfig& config) {
-  const PositiveVoxels positive = FindPositiveVoxels(snapshot, config);
-  const std::vector<Cluster> clusters =
-      config.method == SourceMethod::kKMeans
-          ? KMeansClusters(positive, snapshot.voxel_size_m(), config)
-          : SmoothPeakClusters(snapshot, positive, config);
-  std::vector<SoundSource> sources;
-  for (const Cluster& cluster : clusters) {
-    if (cluster.voxels.empty()) continue;
-    sources.push_back(Describe(cluster, positive, snapshot.voxel_size_m()));
-  }
+  std::vector<SoundSource> sources = config.method == SourceMethod::kKMeans
+                                         ? FindByKMeans(snapshot, config)
+                                         : FindBySmoothPeaks(snapshot, config);
   std::sort(sources.begin(), sources.end(), [](const SoundSource& a, const SoundSource& b) {
     return a.probability != b.probability ? a.probability > b.probability : a.id < b.id;
   });

@@ -1,9 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "sound_map/config.h"
 #include "sound_map/snapshot.h"
@@ -11,11 +10,12 @@
 namespace soundmap::sound_map {
 
 struct SoundSource {
-  // Of the voxel that was heard first and of when that was: the same after a restart, and while more is heard of the source.
+  // Of the voxel that was heard first and of when that was: the same after a restart, and while
+  // more is heard of the source.
   std::uint64_t id = 0;
   Eigen::Vector3d position_in_map_m = Eigen::Vector3d::Zero();
-  double extent_m = 0.0;     // edge of the square that spreads as far as its voxels do
-  double probability = 0.0;  // that there is a source here
+  double extent_m = 0.0;             // edge of the square that spreads as far as its voxels do
+  double probability = 0.0;          // that there is a source here
   std::uint64_t evidence_count = 0;  // supporting observations of its voxels
   int voxel_count = 0;
   float peak_log_odds = 0.0f;  // largest L of its voxels
@@ -25,8 +25,16 @@ struct SoundSource {
   bool operator==(const SoundSource&) const = default;
 };
 
-// Section VI: the sound sources of the map, the most probable first, then by id. A pure function of the snapshot's voxels.
-// The configuration must be valid.
+// The sound sources of the map, the most probable first, then by id. A pure function of the
+// snapshot's voxels. The configuration must be valid. kKMeans is section VI: a source is the centre
+// of a cluster of voxels with L > 0, as probable as its voxel of the largest L. kSmoothPeak
+// deviates: L alone tells a weak source beside louder ones, which is not heard in most scans, from
+// a ghost of a loud one badly. Around a voxel with L > 0, s of n observations, weighted by a
+// Gaussian, supported a source. With r = s / n the log-odds are
+//   prior + (s log(r / r0) + (n - s) log((1 - r) / (1 - r0))) / repetition,
+// a source that is heard in the share r of the scans against the background r0. Maxima are sources
+// unless a stronger one masks them. The position is the mean of the voxels around, each with the
+// weight support^2 / update_count.
 std::vector<SoundSource> FindSoundSources(const Snapshot& snapshot,
                                           const SoundSourceConfig& config);
 

@@ -7,7 +7,8 @@
 namespace soundmap::sound_map {
 namespace {
 
-// Room for some voxels more: surfaces grow by rows, and an exact fit would be copied at every voxel.
+// Room for some voxels more: surfaces grow by rows, and an exact fit would be copied at every
+// voxel.
 int GrownCapacity(int size) { return std::min(size + size / 8 + 4, Block::kVoxels); }
 
 }  // namespace
@@ -93,7 +94,8 @@ bool Tile::ForEach(absl::FunctionRef<bool(const geometry::VoxelKey&, const Voxel
 std::size_t Tile::memory_bytes() const {
   std::size_t bytes = sizeof(Tile) + stamps_.capacity() * sizeof(frames::TimeNs);
   if (support_) {
-    bytes += support_->bucket_count() * (sizeof(SupportTable::value_type) + 1) + sizeof(SupportTable);
+    bytes +=
+        support_->bucket_count() * (sizeof(SupportTable::value_type) + 1) + sizeof(SupportTable);
   }
   for (const auto& block : blocks_) {
     if (block) bytes += block->memory_bytes();
@@ -163,15 +165,16 @@ Block::Cell& Tile::TouchSlowly(int index, int voxel) {
 
 SupportTable& Tile::MutableSupport() {
   if (!support_ || support_generation_ != generation_) {
-    support_ = support_ ? std::make_shared<SupportTable>(*support_) : std::make_shared<SupportTable>();
+    support_ =
+        support_ ? std::make_shared<SupportTable>(*support_) : std::make_shared<SupportTable>();
     support_generation_ = generation_;
   }
   return *support_;
 }
 
 void Tile::AddSupport(int voxel_in_tile, frames::TimeNs stamp_ns) {
-  auto [entry, is_new] =
-      MutableSupport().try_emplace(static_cast<std::uint16_t>(voxel_in_tile), Support{stamp_ns, stamp_ns, 0});
+  auto [entry, is_new] = MutableSupport().try_emplace(static_cast<std::uint16_t>(voxel_in_tile),
+                                                      Support{stamp_ns, stamp_ns, 0});
   Support& support = entry->second;
   support.first_heard_ns = std::min(support.first_heard_ns, stamp_ns);
   support.last_heard_ns = std::max(support.last_heard_ns, stamp_ns);

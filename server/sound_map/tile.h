@@ -2,31 +2,33 @@
 
 #include <array>
 #include <atomic>
+#include <boost/smart_ptr/intrusive_ptr.hpp>
+#include <boost/unordered/unordered_flat_map.hpp>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
 #include <vector>
 
-#include <boost/smart_ptr/intrusive_ptr.hpp>
-#include <boost/unordered/unordered_flat_map.hpp>
-
 #include "absl/functional/function_ref.h"
 #include "sound_map/voxel.h"
 
 namespace soundmap::sound_map {
 
-// Copy-on-write by generation: an object belongs to the writer alone while its generation is the map's present one. A snapshot raises the
-// map's generation, and from then on the writer copies what it wants to change. Nothing that a reader can see is ever written.
+// Copy-on-write by generation: an object belongs to the writer alone while its generation is the
+// map's present one. A snapshot raises the map's generation, and from then on the writer copies
+// what it wants to change. Nothing that a reader can see is ever written.
 using Generation = std::uint64_t;
 
-// 8^3 voxels: a bit for each that exists, and the existing ones packed in the order of their bits (x fastest).
+// 8^3 voxels: a bit for each that exists, and the existing ones packed in the order of their bits
+// (x fastest).
 class Block {
  public:
   static constexpr int kBits = 3;
   static constexpr int kVoxels = 512;
 
-  // The last update as an index into the tile's stamps: two bytes where the time itself would take eight.
+  // The last update as an index into the tile's stamps: two bytes where the time itself would take
+  // eight.
   struct [[gnu::packed]] Cell {
     float log_odds;
     std::uint32_t update_count;
@@ -85,7 +87,8 @@ class Block {
 
 using SupportTable = boost::unordered_flat_map<std::uint16_t, Support>;  // by voxel in the tile
 
-// 32^3 voxels as 4^3 blocks. A voxel in its tile has the number block * 512 + voxel in the block, x fastest in both.
+// 32^3 voxels as 4^3 blocks. A voxel in its tile has the number block * 512 + voxel in the block, x
+// fastest in both.
 class Tile {
  public:
   static constexpr int kBlocks = 64;
@@ -111,13 +114,15 @@ class Tile {
   const SupportTable& support() const;
   Voxel VoxelAt(const Block& block, int rank) const;
   std::optional<Voxel> Find(const geometry::VoxelKey& key) const;
-  // In the order of the numbers; stops when the visitor returns false, and returns whether it did not.
+  // In the order of the numbers; stops when the visitor returns false, and returns whether it did
+  // not.
   bool ForEach(absl::FunctionRef<bool(const geometry::VoxelKey&, const Voxel&)> visit) const;
   std::size_t memory_bytes() const;
 
   // The rest is for the writer, on a tile of the map's present generation.
   void set_revision(std::uint64_t revision) { revision_ = revision; }
-  // The index of a time to be given to cells until the next call. May renumber, so that stamps without a cell do not pile up.
+  // The index of a time to be given to cells until the next call. May renumber, so that stamps
+  // without a cell do not pile up.
   std::uint16_t AddStamp(frames::TimeNs stamp_ns);
   // The cell of a voxel, made if need be.
   Block::Cell& Touch(int block, int voxel) {

@@ -1,5 +1,8 @@
 #include "sound_map/tile_blob.h"
 
+#include <isa-l/crc.h>
+#include <zstd.h>
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -8,9 +11,6 @@
 #include <string_view>
 #include <type_traits>
 #include <vector>
-
-#include <isa-l/crc.h>
-#include <zstd.h>
 
 #include "absl/strings/str_cat.h"
 #include "sound_map/tile.h"
@@ -26,7 +26,8 @@ constexpr std::size_t kChecksumAt = 8;
 constexpr std::size_t kHeaderBytes = 16;
 constexpr int kCompressionLevel = 1;
 // All 32768 voxels, each with a time and support of its own.
-constexpr std::size_t kMaxPayloadBytes = 64 + Tile::kBlocks * 64 + Tile::kVoxels * (4 + 4 + 8 + 2 + 2 + 8 + 8 + 4);
+constexpr std::size_t kMaxPayloadBytes =
+    64 + Tile::kBlocks * 64 + Tile::kVoxels * (4 + 4 + 8 + 2 + 2 + 8 + 8 + 4);
 
 std::uint32_t Crc32c(std::string_view bytes) {
   return ~crc32_iscsi(reinterpret_cast<unsigned char*>(const_cast<char*>(bytes.data())),
@@ -79,14 +80,16 @@ class Cursor {
 };
 
 absl::Status Damaged(const TileKey& key, std::string_view what) {
-  return absl::DataLossError(absl::StrCat("the stored sound map tile ", key.x, "/", key.y, "/", key.z,
-                                          " is damaged: ", absl::string_view(what.data(), what.size())));
+  return absl::DataLossError(
+      absl::StrCat("the stored sound map tile ", key.x, "/", key.y, "/", key.z,
+                   " is damaged: ", absl::string_view(what.data(), what.size())));
 }
 
 absl::StatusOr<std::string> Decompress(const TileBlob& blob) {
   const std::string_view bytes = blob.bytes;
   if (bytes.size() < kHeaderBytes) return Damaged(blob.key, "it is cut off");
-  if (bytes.substr(0, kMagic.size()) != kMagic) return Damaged(blob.key, "it does not begin as a tile");
+  if (bytes.substr(0, kMagic.size()) != kMagic)
+    return Damaged(blob.key, "it does not begin as a tile");
   Cursor header(bytes.substr(kMagic.size(), kHeaderBytes - kMagic.size()));
   const auto version = header.Take<std::uint16_t>();
   const auto reserved = header.Take<std::uint16_t>();
@@ -102,8 +105,8 @@ absl::StatusOr<std::string> Decompress(const TileBlob& blob) {
   }
   if (payload_bytes > kMaxPayloadBytes) return Damaged(blob.key, "it is too large");
   std::string payload(payload_bytes, '\0');
-  const std::size_t written = ZSTD_decompress(payload.data(), payload.size(),
-                                              bytes.data() + kHeaderBytes, bytes.size() - kHeaderBytes);
+  const std::size_t written = ZSTD_decompress(
+      payload.data(), payload.size(), bytes.data() + kHeaderBytes, bytes.size() - kHeaderBytes);
   if (ZSTD_isError(written) != 0 || written != payload.size()) {
     return Damaged(blob.key, "it does not decompress");
   }
@@ -133,7 +136,8 @@ std::string SerializeTile(const Tile& tile, double voxel_size_m) {
   std::vector<frames::TimeNs> stamps = last_update;
   std::sort(stamps.begin(), stamps.end());
   stamps.erase(std::unique(stamps.begin(), stamps.end()), stamps.end());
-  std::vector<std::pair<std::uint16_t, Support>> support(tile.support().begin(), tile.support().end());
+  std::vector<std::pair<std::uint16_t, Support>> support(tile.support().begin(),
+                                                         tile.support().end());
   std::sort(support.begin(), support.end(),
             [](const auto& a, const auto& b) { return a.first < b.first; });
 
@@ -200,8 +204,8 @@ absl::StatusOr<std::shared_ptr<Tile>> ParseTile(const TileBlob& blob, double vox
   const auto last_heard = cursor.TakeColumn<frames::TimeNs>(supports);
   const auto heard_count = cursor.TakeColumn<std::uint32_t>(supports);
   if (!cursor.ok() || !cursor.empty()) return Damaged(blob.key, "its columns do not fit together");
-  if (stamps.size() > voxels || std::adjacent_find(stamps.begin(), stamps.end(),
-                                                   std::greater_equal<>()) != stamps.end()) {
+  if (stamps.size() > voxels ||
+      std::adjacent_find(stamps.begin(), stamps.end(), std::greater_equal<>()) != stamps.end()) {
     return Damaged(blob.key, "its times are not in order");
   }
   if (key != blob.key) {
@@ -224,7 +228,8 @@ absl::StatusOr<std::shared_ptr<Tile>> ParseTile(const TileBlob& blob, double vox
     if (((block_mask >> b) & 1) == 0) continue;
     for (int word = 0; word < 8; ++word, ++mask) {
       for (std::uint64_t rest = masks[mask]; rest != 0; rest &= rest - 1, ++i) {
-        if (!std::isfinite(log_odds[i]) || update_count[i] == 0 || stamp_index[i] >= stamps.size()) {
+        if (!std::isfinite(log_odds[i]) || update_count[i] == 0 ||
+            stamp_index[i] >= stamps.size()) {
           return Damaged(blob.key, "a voxel's fields cannot be");
         }
         const std::uint16_t stamp = stamp_index[i];

@@ -11,9 +11,9 @@ namespace soundmap::sound_map {
 
 // The three fields of section V. A voxel exists once it has been updated.
 struct Voxel {
-  float log_odds = 0.0f;               // L
-  std::uint32_t update_count = 0;      // M
-  frames::TimeNs last_update_ns = 0;   // U: the latest t_k; a late scan does not move it back
+  float log_odds = 0.0f;              // L
+  std::uint32_t update_count = 0;     // M
+  frames::TimeNs last_update_ns = 0;  // U: the latest t_k; a late scan does not move it back
 
   bool operator==(const Voxel&) const = default;
 };

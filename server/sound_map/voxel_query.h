@@ -1,10 +1,9 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <optional>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "absl/status/statusor.h"
 #include "sound_map/snapshot.h"
@@ -18,7 +17,8 @@ struct VoxelQuery {
   std::uint32_t min_updates = 0;  // epsilon_C: only voxels with M > min_updates
   double min_probability = 0.0;   // 0 .. 1, of L
   int limit = 100'000;
-  // Continue behind this voxel, the last of the page before; in a later snapshot new voxels may be missed, none comes twice.
+  // Continue behind this voxel, the last of the page before; in a later snapshot new voxels may be
+  // missed, none comes twice.
   std::optional<geometry::VoxelKey> after;
 };
 
@@ -28,8 +28,8 @@ struct VoxelPage {
   bool more = false;
 };
 
-// InvalidArgument: a bound that is not a number, or the box turned inside out, or a limit below 1. A box that reaches beyond the octree
-// is cut to it.
+// InvalidArgument: a bound that is not a number, or the box turned inside out, or a limit below 1.
+// A box that reaches beyond the octree is cut to it.
 absl::StatusOr<VoxelPage> FindVoxels(const Snapshot& snapshot, const VoxelQuery& query);
 
 }  // namespace soundmap::sound_map

@@ -2,11 +2,13 @@
 
 #include <rocksdb/cache.h>
 #include <rocksdb/db.h>
+#include <rocksdb/env.h>
 #include <rocksdb/listener.h>
 #include <rocksdb/table.h>
 #include <rocksdb/write_batch.h>
 
 #include <atomic>
+#include <cstdarg>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -45,6 +47,14 @@ class NoRecovery : public rocksdb::EventListener {
   }
 };
 
+// RocksDB's own log file aborts the process (an assertion) when it is written to after the disk was
+// full. Errors are returned anyway.
+class NoInfoLog : public rocksdb::Logger {
+ public:
+  using rocksdb::Logger::Logv;
+  void Logv(const char*, va_list) override {}
+};
+
 rocksdb::DBOptions DbOptions(const DatabaseOptions& options) {
   rocksdb::DBOptions db_options;
   db_options.create_if_missing = true;
@@ -54,9 +64,7 @@ rocksdb::DBOptions DbOptions(const DatabaseOptions& options) {
   db_options.max_background_jobs = 2;
   db_options.max_open_files = options.max_open_files;
   db_options.bytes_per_sync = 1 << 20;
-  db_options.info_log_level = rocksdb::InfoLogLevel::WARN_LEVEL;
-  db_options.max_log_file_size = 1 << 20;
-  db_options.keep_log_file_num = 2;
+  db_options.info_log = std::make_shared<NoInfoLog>();
   db_options.stats_dump_period_sec = 0;
   db_options.max_manifest_file_size = 16 << 20;
   // Only a record that a crash has cut may be missing at the end of the log; other damage is

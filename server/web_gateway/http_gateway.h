@@ -1,20 +1,21 @@
 #pragma once
 
+#include <boost/asio/any_io_executor.hpp>
 #include <functional>
 #include <memory>
 #include <string>
-
-#include <boost/asio/any_io_executor.hpp>
 
 #include "absl/status/statusor.h"
 
 namespace soundmap::web_gateway {
 
-// The HTTP port: `GET /livez` (200 while the process runs) and `GET /readyz` (200 while it serves, else 503). Other paths are 404, other
-// methods 405; a request is at most 16 KiB and must arrive within 30 s.
+// The HTTP port: `GET /livez` (200 while the process runs) and `GET /readyz` (200 while it serves,
+// else 503). Other paths are 404, other methods 405; a request is at most 16 KiB and must arrive
+// within 30 s.
 class HttpGateway {
  public:
-  // `address` is HOST:PORT, port 0 for any. InvalidArgument: not an address; Unavailable: the port cannot be bound.
+  // `address` is HOST:PORT, port 0 for any. InvalidArgument: not an address; Unavailable: the port
+  // cannot be bound.
   static absl::StatusOr<std::unique_ptr<HttpGateway>> Start(boost::asio::any_io_executor executor,
                                                             const std::string& address,
                                                             std::function<bool()> is_ready);

@@ -1,4 +1,10 @@
-// Real impulse responses of microphones on a rigid sphere of 8.75 cm radius, anechoic.
+// Real impulse responses of microphones on a rigid sphere of 8.75 cm radius, anechoic. The sphere
+// bends the wave: delays are longer than in the free field for which eq. (3) is written, alike on
+// all sides of the source. Microphones spread over the whole sphere therefore see the right
+// direction with less power; the band of the profiles, 1 to 3 kHz, holds for this array as it is.
+// The rig itself reads 1.3 to 2.3 degrees too much azimuth.
+
+#include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,8 +15,6 @@
 #include <optional>
 #include <sstream>
 #include <string>
-
-#include <gtest/gtest.h>
 
 #include "acoustics/audio_scanner.h"
 #include "geometry/angles.h"
@@ -135,8 +139,9 @@ TEST_P(ArrayRir, TheLoudspeakerIsWhereItStands) {
     GTEST_SKIP() << "needs the impulse responses in " << data / "array_rir";
   }
   const RirCase& c = GetParam();
-  const Wave rir = ReadWave(data / "array_rir" /
-                            ("sphere_az" + std::to_string(static_cast<int>(c.azimuth_deg)) + ".wav"));
+  const Wave rir =
+      ReadWave(data / "array_rir" /
+               ("sphere_az" + std::to_string(static_cast<int>(c.azimuth_deg)) + ".wav"));
   const auto all = ReadMicrophones(data / "array_rir" / "sphere_mics.csv");
   ASSERT_EQ(rir.channels, 110);
   ASSERT_EQ(all.size(), 110u);
@@ -182,28 +187,24 @@ TEST_P(ArrayRir, TheLoudspeakerIsWhereItStands) {
   const Eigen::Vector3d truth =
       geometry::DirectionFromAngles(geometry::RadFromDeg(c.azimuth_deg), 0.0);
   std::vector<double> error_deg;
-  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   const std::vector<LikelihoodScan> scans = scanner->Push(block).value();
   for (const LikelihoodScan& scan : scans) {
     ASSERT_EQ(scan.fault, "");
     if (scan.peaks.empty()) continue;
     error_deg.push_back(testing::AngleBetween_deg(scan.peaks[0].direction_in_array, truth));
-    mean += scan.peaks[0].direction_in_array;
   }
   ASSERT_GE(error_deg.size(), 5u);
   std::sort(error_deg.begin(), error_deg.end());
-  const auto angles = geometry::AnglesFromDirection(mean);
-  printf("az %.0f N %d %s: median %.2f max %.2f  mean az %.2f el %.2f scans %d\n", c.azimuth_deg, c.microphones, c.sound, error_deg[error_deg.size()/2], error_deg.back(), geometry::DegFromRad(angles.azimuth_rad), geometry::DegFromRad(angles.elevation_rad), (int)error_deg.size());
   EXPECT_LT(error_deg[error_deg.size() / 2], 3.5);
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Loudspeakers, ArrayRir,
-    ::testing::Values(RirCase{45, 8, "noise"}, RirCase{45, 16, "noise"}, RirCase{345, 8, "noise"},
-                      RirCase{345, 16, "noise"}, RirCase{45, 8, "cmu_arctic_us_aew_a0001.wav"},
-                      RirCase{45, 16, "cmu_arctic_us_aew_a0001.wav"},
-                      RirCase{345, 8, "cmu_arctic_us_aew_a0002.wav"},
-                      RirCase{345, 16, "cmu_arctic_us_aew_a0002.wav"}));
+INSTANTIATE_TEST_SUITE_P(Loudspeakers, ArrayRir,
+                         ::testing::Values(RirCase{45, 8, "noise"}, RirCase{45, 16, "noise"},
+                                           RirCase{345, 8, "noise"}, RirCase{345, 16, "noise"},
+                                           RirCase{45, 8, "cmu_arctic_us_aew_a0001.wav"},
+                                           RirCase{45, 16, "cmu_arctic_us_aew_a0001.wav"},
+                                           RirCase{345, 8, "cmu_arctic_us_aew_a0002.wav"},
+                                           RirCase{345, 16, "cmu_arctic_us_aew_a0002.wav"}));
 
 }  // namespace
 }  // namespace soundmap::acoustics

@@ -1,14 +1,15 @@
 #include "acoustics/audio_clock.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <random>
-
-#include <gtest/gtest.h>
 
 namespace soundmap::acoustics {
 namespace {
 
-// Stamps of 50 ms blocks of a device whose clock is off, seen through jitter and, now and then, a late delivery.
+// Stamps of 50 ms blocks of a device whose clock is off, seen through jitter and, now and then, a
+// late delivery.
 struct Device {
   double drift = 0.0;
   double jitter_s = 0.0;
@@ -32,16 +33,14 @@ double WorstError_s(const Device& device, double duration_s, std::uint64_t seed)
     clock.Add({sample, device.TrueTime(sample) + frames::NsFromSeconds(jitter_s(random) + late_s)});
     if (sample < Device::kRate_hz) continue;  // the first second only settles
     for (const std::int64_t at : {sample - 2200, sample + 800}) {
-      worst_s = std::max(
-          worst_s, std::abs(frames::SecondsFromNs(clock.TimeOf(at) - device.TrueTime(at))));
+      worst_s = std::max(worst_s,
+                         std::abs(frames::SecondsFromNs(clock.TimeOf(at) - device.TrueTime(at))));
     }
   }
   return worst_s;
 }
 
-TEST(AudioClock, FollowsAnExactDeviceExactly) {
-  EXPECT_LT(WorstError_s({}, 60.0, 1), 2e-9);
-}
+TEST(AudioClock, FollowsAnExactDeviceExactly) { EXPECT_LT(WorstError_s({}, 60.0, 1), 2e-9); }
 
 TEST(AudioClock, StaysWithinAMillisecondOverTenMinutesOfDrift) {
   EXPECT_LT(WorstError_s({.drift = 50e-6}, 600.0, 2), 0.3e-3);

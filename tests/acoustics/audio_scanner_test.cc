@@ -1,10 +1,10 @@
 #include "acoustics/audio_scanner.h"
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
-
-#include <gtest/gtest.h>
 
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
@@ -42,8 +42,9 @@ std::vector<std::int16_t> Sound(int samples, std::uint64_t seed = 1) {
 // Samples first .. first + count of `sound`, stamped by a device that runs at the nominal rate.
 frames::AudioBlock Block(const std::vector<std::int16_t>& sound, int first, int count,
                          frames::TimeNs start_ns = kStart_ns) {
-  return {start_ns + first * 1'000'000'000LL / kRate_hz, kRate_hz, 4,
-          std::vector<std::int16_t>(sound.begin() + first * 4, sound.begin() + (first + count) * 4)};
+  return {
+      start_ns + first * 1'000'000'000LL / kRate_hz, kRate_hz, 4,
+      std::vector<std::int16_t>(sound.begin() + first * 4, sound.begin() + (first + count) * 4)};
 }
 
 std::vector<LikelihoodScan> PushAll(AudioScanner& scanner, const std::vector<std::int16_t>& sound,
@@ -101,8 +102,8 @@ TEST(AudioScanner, TheCutIntoBlocksDoesNotMatter) {
 TEST(AudioScanner, ThePaperProfileThresholdsThePower) {
   std::mt19937_64 random(2);
   const Microphones dome = testing::DomeArray();
-  const Eigen::Vector3d source = geometry::DirectionFromAngles(geometry::RadFromDeg(-20.0),
-                                                               geometry::RadFromDeg(30.0));
+  const Eigen::Vector3d source =
+      geometry::DirectionFromAngles(geometry::RadFromDeg(-20.0), geometry::RadFromDeg(30.0));
   const auto scanner =
       AudioScanner::Create(AcousticsConfig::Paper(), CalibrationOf(dome, kRate_hz)).value();
   const auto samples = testing::Record(dome, kRate_hz, 2200, {{source}}, 200.0, random);
@@ -159,7 +160,8 @@ TEST(AudioScanner, TimeRunningBackwardsIsRefusedAndChangesNothing) {
   const auto sound = Sound(8000);
   ASSERT_TRUE(scanner->Push(Block(sound, 0, 3000)).ok());
   const AudioScanner::State before = scanner->state();
-  for (const frames::TimeNs back_ns : std::vector<frames::TimeNs>{-25'000'000, -1'000'000'000, -kStart_ns}) {
+  for (const frames::TimeNs back_ns :
+       std::vector<frames::TimeNs>{-25'000'000, -1'000'000'000, -kStart_ns}) {
     const auto refused = scanner->Push(Block(sound, 3000, 1000, kStart_ns + back_ns));
     EXPECT_EQ(refused.status().code(), absl::StatusCode::kInvalidArgument);
     EXPECT_NE(std::string(refused.status().message()).find("backwards"), std::string::npos);
@@ -182,8 +184,8 @@ TEST(AudioScanner, BlocksThatDoNotFitAreRefused) {
   block = Block(sound, 0, 100);
   block.samples.pop_back();
   EXPECT_EQ(code(block), absl::StatusCode::kInvalidArgument);
-  for (const frames::TimeNs stamp_ns : {std::numeric_limits<frames::TimeNs>::min(),
-                                        std::numeric_limits<frames::TimeNs>::max()}) {
+  for (const frames::TimeNs stamp_ns :
+       {std::numeric_limits<frames::TimeNs>::min(), std::numeric_limits<frames::TimeNs>::max()}) {
     block = Block(sound, 0, 100);
     block.stamp_ns = stamp_ns;
     EXPECT_EQ(code(block), absl::StatusCode::kInvalidArgument);
@@ -241,7 +243,7 @@ TEST(AudioScanner, EveryNumberIsFinite) {
 }
 
 TEST(AudioScanner, ScanTimesFollowADriftingDevice) {
-  // Ten minutes at 50 ppm. The scans in between are dropped unheard: a click would do for sound.
+  // Ten minutes at 50 ppm.
   const auto scanner = MakeScanner([] {
     AcousticsConfig config = Coarse();
     config.grid = EqualAreaGrid{.spacing_rad = 0.5};

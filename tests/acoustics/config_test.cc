@@ -1,9 +1,9 @@
 #include "acoustics/config.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <limits>
-
-#include <gtest/gtest.h>
 
 namespace soundmap::acoustics {
 namespace {

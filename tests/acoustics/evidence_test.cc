@@ -1,9 +1,9 @@
 #include "acoustics/evidence.h"
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
-
-#include <gtest/gtest.h>
 
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
@@ -145,8 +145,7 @@ TEST(FindPeaks, APlanarArrayReportsOneImageAndBothSpeak) {
   const Peaks found = listener.Hear({{below}}, 100.0, random);
   ASSERT_EQ(found.peaks.size(), 1u);
   EXPECT_LT(AngleBetween_deg(found.peaks[0].direction_in_array, above), 0.5);
-  const std::vector<float> likelihood =
-      PeakLikelihood(listener.srp(), found.peaks, PeakEvidence{});
+  const std::vector<float> likelihood = PeakLikelihood(listener.srp(), found.peaks, PeakEvidence{});
   const DirectionGrid& grid = listener.srp().grid();
   for (int i = 0; i < grid.size(); ++i) {
     const double angle_deg =

@@ -105,8 +105,8 @@ double LiteralPowerOf(const FrameLayout& layout, const Microphones& mic_in_array
   for (int b = 0; b < layout.bins; ++b) {
     std::vector<std::complex<double>> steering;  // eq. (3)
     for (const Eigen::Vector3d& mic_m : mic_in_array_m) {
-      const double tau = 2.0 * kPi * layout.bin_hz(b) * mic_m.dot(direction_in_array) /
-                         kSpeedOfSound_mps;
+      const double tau =
+          2.0 * kPi * layout.bin_hz(b) * mic_m.dot(direction_in_array) / kSpeedOfSound_mps;
       steering.push_back(std::polar(1.0 / channels, -tau));
     }
     double mean = 0.0;

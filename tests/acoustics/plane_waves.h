@@ -1,17 +1,17 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <random>
 #include <vector>
-
-#include <Eigen/Core>
 
 #include "acoustics/config.h"
 #include "acoustics/srp_phat.h"
 #include "acoustics/stft.h"
 #include "frames/frames.h"
 
-// What a microphone array hears in the free field, made from arrival times alone: a wave from direction u reaches microphone p at
+// What a microphone array hears in the free field, made from arrival times alone: a wave from
+// direction u reaches microphone p at
 // -(p . u) / c after it reaches the origin. Nothing here knows eq. (3).
 namespace soundmap::acoustics::testing {
 
@@ -32,8 +32,8 @@ struct PlaneWave {
   double rms = 1000.0;  // in steps of the 16-bit samples
 };
 
-// Interleaved samples of all waves together, each a noise-like sum of sinusoids between 200 Hz and 90 % of half the rate, and noise that is
-// independent at each microphone.
+// Interleaved samples of all waves together, each a noise-like sum of sinusoids between 200 Hz and
+// 90 % of half the rate, and noise that is independent at each microphone.
 std::vector<std::int16_t> Record(const Microphones& mic_in_array_m, int sample_rate_hz, int samples,
                                  const std::vector<PlaneWave>& waves, double noise_rms,
                                  std::mt19937_64& random);

@@ -1,11 +1,11 @@
 #include "acoustics/srp_phat.h"
 
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
-
-#include <Eigen/Geometry>
-#include <gtest/gtest.h>
 
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
@@ -73,17 +73,16 @@ TEST_P(SrpPhatOracle, EqualsALiteralTranscriptionInDouble) {
 
 INSTANTIATE_TEST_SUITE_P(
     Arrays, SrpPhatOracle,
-    ::testing::Values(
-        OracleCase{"TwoMicrophones8kHz", 8000, 2, 0.1, {1, 1, 1}, 10, 1000, 3000},
-        OracleCase{"Line16kHz", 16000, 6, 0.3, {1, 0, 0}, 10, 1000, 3000},
-        OracleCase{"Plane16kHz", 16000, 8, 0.2, {1, 1, 0}, 10, 1000, 3000},
-        OracleCase{"Space16kHz", 16000, 16, 0.25, {1, 1, 1}, 10, 1000, 3000},
-        OracleCase{"WholeBand16kHz", 16000, 5, 0.2, {1, 1, 1}, 4, 0, 8000},
-        OracleCase{"OneBin16kHz", 16000, 5, 0.2, {1, 1, 1}, 10, 2000, 2000},
-        OracleCase{"Large44kHz", 44100, 4, 2.0, {1, 1, 1}, 3, 500, 6000},
-        OracleCase{"Tiny48kHz", 48000, 7, 0.01, {1, 1, 1}, 3, 1000, 3000},
-        OracleCase{"Ultrasound192kHz", 192000, 4, 0.05, {1, 1, 1}, 2, 20000, 40000},
-        OracleCase{"SixtyFour16kHz", 16000, 64, 0.4, {1, 1, 1}, 3, 1000, 3000}),
+    ::testing::Values(OracleCase{"TwoMicrophones8kHz", 8000, 2, 0.1, {1, 1, 1}, 10, 1000, 3000},
+                      OracleCase{"Line16kHz", 16000, 6, 0.3, {1, 0, 0}, 10, 1000, 3000},
+                      OracleCase{"Plane16kHz", 16000, 8, 0.2, {1, 1, 0}, 10, 1000, 3000},
+                      OracleCase{"Space16kHz", 16000, 16, 0.25, {1, 1, 1}, 10, 1000, 3000},
+                      OracleCase{"WholeBand16kHz", 16000, 5, 0.2, {1, 1, 1}, 4, 0, 8000},
+                      OracleCase{"OneBin16kHz", 16000, 5, 0.2, {1, 1, 1}, 10, 2000, 2000},
+                      OracleCase{"Large44kHz", 44100, 4, 2.0, {1, 1, 1}, 3, 500, 6000},
+                      OracleCase{"Tiny48kHz", 48000, 7, 0.01, {1, 1, 1}, 3, 1000, 3000},
+                      OracleCase{"Ultrasound192kHz", 192000, 4, 0.05, {1, 1, 1}, 2, 20000, 40000},
+                      OracleCase{"SixtyFour16kHz", 16000, 64, 0.4, {1, 1, 1}, 3, 1000, 3000}),
     [](const auto& info) { return info.param.name; });
 
 TEST(SrpPhat, EqualDifferenceVectorsAreMergedExactly) {
@@ -119,8 +118,7 @@ TEST(SrpPhat, APlaneWaveReachesTheBoundInItsOwnDirection) {
     EXPECT_LT(*std::max_element(scan.power.begin(), scan.power.end()), layout.bins + 1e-3);
     // Between the grid's directions.
     const Eigen::Vector3d off_grid = RandomDirection(random);
-    const AudioScan other =
-        srp->Scan(testing::WaveSpectra(layout, microphones, off_grid, random));
+    const AudioScan other = srp->Scan(testing::WaveSpectra(layout, microphones, off_grid, random));
     EXPECT_NEAR(srp->PowerAt(other, off_grid), layout.bins, 1e-3);
     EXPECT_LT(testing::AngleBetween_deg(grid[IndexOfMax(other.power)], off_grid), 4.0);
   }
@@ -172,11 +170,11 @@ TEST(SrpPhat, TheResponseIsTheScanOfAUnitWave) {
   const FrameLayout layout = FrameLayout::Create({}, 16000).value();
   const DirectionGrid grid = DirectionGrid::EqualArea(geometry::RadFromDeg(6.0));
   for (const int count : {3, 16}) {
-    const Microphones microphones = count == 16 ? testing::DomeArray() : RandomArray(3, 0.2, random);
+    const Microphones microphones =
+        count == 16 ? testing::DomeArray() : RandomArray(3, 0.2, random);
     const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
     const Eigen::Vector3d source = RandomDirection(random);
-    const AudioScan scan =
-        srp->Scan(testing::WaveSpectra(layout, microphones, source, random));
+    const AudioScan scan = srp->Scan(testing::WaveSpectra(layout, microphones, source, random));
     std::vector<float> response(grid.size(), 1.0f);
     srp->AddResponse(source, 2.0f, 0.5f, response);
     for (int i = 0; i < grid.size(); ++i) {
@@ -224,9 +222,9 @@ TEST(SrpPhat, RefusesWhatIsNoArray) {
   EXPECT_NE(message({{0, 0, 0}, {nan, 0, 0}}).find("mic_1 is not finite"), std::string::npos);
   EXPECT_NE(message({{0, 0, 1}, {0, 0, 0}, {0, 0, 1}}).find("mic_0 and mic_2"), std::string::npos);
   EXPECT_NE(message({{0, 0, 0}, {1e9, 0, 0}}).find("too large"), std::string::npos);
-  EXPECT_FALSE(SrpPhat::Create(layout, kSpeedOfSound_mps, {{0, 0, 0}, {1, 0, 0}},
-                               DirectionGrid({}, 0.1))
-                   .ok());
+  EXPECT_FALSE(
+      SrpPhat::Create(layout, kSpeedOfSound_mps, {{0, 0, 0}, {1, 0, 0}}, DirectionGrid({}, 0.1))
+          .ok());
 }
 
 }  // namespace

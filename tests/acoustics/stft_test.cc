@@ -1,9 +1,9 @@
 #include "acoustics/stft.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <complex>
-
-#include <gtest/gtest.h>
 
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
@@ -37,8 +37,8 @@ TEST(Stft, ASilentBinIsZeroAndOthersHaveMagnitudeOne) {
   config.f_min_hz = 800.0;
   config.f_max_hz = 1200.0;
   const FrameLayout layout = FrameLayout::Create(config, 16000).value();  // bins 20 .. 30
-  // Microphone 0 is silent; a square wave with a period of 16 samples at microphone 1 has 1000 Hz and odd harmonics only, so exactly
-  // the bins 24 .. 26 of a Hann window are not 0.
+  // Microphone 0 is silent; a square wave with a period of 16 samples at microphone 1 has 1000 Hz
+  // and odd harmonics only, so exactly the bins 24 .. 26 of a Hann window are not 0.
   std::vector<std::int16_t> samples(layout.scan_samples() * 2);
   for (int s = 0; s < layout.scan_samples(); ++s) samples[2 * s + 1] = s % 16 < 8 ? 9000 : -9000;
   const PhatSpectra spectra = Stft(layout, 2).Analyze(samples);

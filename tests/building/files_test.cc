@@ -1,5 +1,7 @@
 #include "building/files.h"
 
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
 #include <octomap/OcTree.h>
 
 #include <cstdlib>
@@ -7,9 +9,6 @@
 #include <fstream>
 #include <set>
 #include <tuple>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include "building/point_cloud_file.h"
 
@@ -52,10 +51,9 @@ class FilesTest : public ::testing::Test {
 
 TEST_F(FilesTest, OctreesComeBackWithTheSameFloorPlan) {
   const Building building = Block();
-  for (const auto& [name, format] : {std::pair{"block.bt", MapFormat::kBt},
-                                     std::pair{"BLOCK.OT", MapFormat::kOt}}) {
-    const auto read =
-        ImportBuilding(Write(name, ExportGeometry(building, format).value()), {});
+  for (const auto& [name, format] :
+       {std::pair{"block.bt", MapFormat::kBt}, std::pair{"BLOCK.OT", MapFormat::kOt}}) {
+    const auto read = ImportBuilding(Write(name, ExportGeometry(building, format).value()), {});
     ASSERT_TRUE(read.ok()) << read.status();
     EXPECT_EQ(read->floor_plan, building.floor_plan);
     EXPECT_EQ(read->octree->size(), building.octree->size());
@@ -72,9 +70,8 @@ TEST_F(FilesTest, PointsAreTheCentresOfTheOccupiedVoxels) {
       }
     }
   }
-  for (const auto& points :
-       {ParsePly(ExportGeometry(building, MapFormat::kPly).value()),
-        ParsePcd(ExportGeometry(building, MapFormat::kPcd).value())}) {
+  for (const auto& points : {ParsePly(ExportGeometry(building, MapFormat::kPly).value()),
+                             ParsePcd(ExportGeometry(building, MapFormat::kPcd).value())}) {
     ASSERT_TRUE(points.ok()) << points.status();
     EXPECT_EQ(points->size(), expected.size());
     std::set<std::tuple<int, int, int>> voxels;
@@ -123,7 +120,8 @@ TEST_F(FilesTest, OctomapToolsReadTheExport) {
   ASSERT_EQ(std::system(("bt2vrml " + path + " > /dev/null 2>&1").c_str()), 0);
   EXPECT_GT(std::filesystem::file_size(path + ".wrl"), 1000u);
   const std::string full = Write("block.ot", ExportGeometry(Block(), MapFormat::kOt).value());
-  ASSERT_EQ(std::system(("convert_octree " + full + " " + full + ".bt > /dev/null 2>&1").c_str()), 0);
+  ASSERT_EQ(std::system(("convert_octree " + full + " " + full + ".bt > /dev/null 2>&1").c_str()),
+            0);
   const auto converted = ImportBuilding(full + ".bt", {});
   ASSERT_TRUE(converted.ok()) << converted.status();
   EXPECT_EQ(converted->floor_plan, Block().floor_plan);

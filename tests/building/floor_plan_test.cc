@@ -1,10 +1,9 @@
+#include <gtest/gtest.h>
 #include <octomap/OcTree.h>
 
 #include <cmath>
 #include <limits>
 #include <random>
-
-#include <gtest/gtest.h>
 
 #include "building/building.h"
 

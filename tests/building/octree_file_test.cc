@@ -1,12 +1,12 @@
 #include "building/octree_file.h"
 
+#include <gtest/gtest.h>
+
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <random>
 #include <sstream>
-
-#include <gtest/gtest.h>
 
 namespace soundmap::building {
 namespace {
@@ -125,10 +125,10 @@ TEST(OctreeFile, RefusesHeadersThatCannotBe) {
 
 // All children inner, for ever: a tree deeper than OctoMap's 16 levels.
 TEST(OctreeFile, RefusesATreeThatIsTooDeep) {
-  EXPECT_FALSE(ParseOctree(Header("# Octomap OcTree binary file",
-                                  "id OcTree\nsize 60000000\nres 0.05\n") +
-                           std::string(1 << 20, '\xff'))
-                   .ok());
+  EXPECT_FALSE(
+      ParseOctree(Header("# Octomap OcTree binary file", "id OcTree\nsize 60000000\nres 0.05\n") +
+                  std::string(1 << 20, '\xff'))
+          .ok());
   std::string full = Header("# Octomap OcTree file", "id OcTree\nsize 60\nres 0.05\n");
   for (int i = 0; i < 60; ++i) full += std::string("\0\0\0\0\1", 5);
   EXPECT_FALSE(ParseOctree(full).ok());

@@ -1,12 +1,11 @@
 #include "building/point_cloud.h"
 
+#include <gtest/gtest.h>
 #include <octomap/OcTree.h>
 
 #include <cstdint>
 #include <cstring>
 #include <limits>
-
-#include <gtest/gtest.h>
 
 #include "building/point_cloud_file.h"
 
@@ -104,8 +103,10 @@ TEST(PointCloudFile, RefusesWhatItCannotRead) {
            "ply\nformat ascii 1.0\nelement vertex 0\n" + xyz,
            "ply\nformat ascii 1.0\nelement vertex 1\n" + xyz + "1 2 three\n",
            "ply\nformat ascii 1.0\nelement vertex 1\n" + xyz + "nan inf 0\n",
-           std::string("ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"),
-           std::string("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\n") + xyz,
+           std::string(
+               "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"),
+           std::string("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\n") +
+               xyz,
            "ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int i\n" + xyz,
            std::string("solid\n"),
        }) {
@@ -119,7 +120,8 @@ TEST(PointCloudFile, RefusesWhatItCannotRead) {
            "FIELDS x y z\nSIZE 4 4\nTYPE F F F\nPOINTS 1\nDATA binary\n" + bytes,
            "FIELDS x y z\nSIZE 3 4 4\nTYPE F F F\nPOINTS 1\nDATA binary\n" + bytes,
            "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 18446744073709551615\nPOINTS 1\n"
-           "DATA binary\n" + bytes,
+           "DATA binary\n" +
+               bytes,
            std::string("POINTS 1\nDATA ascii\n1 2 3\n"),
            std::string("\n\n"),
        }) {
@@ -211,12 +213,11 @@ TEST(BuildingFromPoints, RefusesWhatHasNoFreeSpaceOrLiesOutside) {
   EXPECT_FALSE(BuildingFromPoints(Points{{0, 0, 0.3}}, {}).ok());
   EXPECT_FALSE(BuildingFromPoints(Points{{1e9, 0, 0.3}}, {}).ok());
   EXPECT_FALSE(BuildingFromPoints(Points{}, {}).ok());
-  for (PointCloudConfig config : {PointCloudConfig{.voxel_size_m = 0.0},
-                                  PointCloudConfig{.floor_height_m = std::nan("")},
-                                  PointCloudConfig{.floor_tolerance_m = -1.0},
-                                  PointCloudConfig{.air_height_m = 1e9},
-                                  PointCloudConfig{.floor_gap_m = std::nan("")},
-                                  PointCloudConfig{.slice_min_height_m = 3.0}}) {
+  for (PointCloudConfig config :
+       {PointCloudConfig{.voxel_size_m = 0.0}, PointCloudConfig{.floor_height_m = std::nan("")},
+        PointCloudConfig{.floor_tolerance_m = -1.0}, PointCloudConfig{.air_height_m = 1e9},
+        PointCloudConfig{.floor_gap_m = std::nan("")},
+        PointCloudConfig{.slice_min_height_m = 3.0}}) {
     EXPECT_FALSE(BuildingFromPoints(Room(true), config).ok());
   }
 }

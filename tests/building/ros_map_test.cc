@@ -1,8 +1,8 @@
 #include "building/ros_map.h"
 
-#include <random>
-
 #include <gtest/gtest.h>
+
+#include <random>
 
 namespace soundmap::building {
 namespace {
@@ -44,7 +44,8 @@ TEST(RosMap, WhatIsWrittenIsRead) {
   FloorPlan plan(17, 9, 0.08, Eigen::Vector2d(-0.1 * 3, 1.0 / 3.0));
   std::mt19937 random(1);
   for (int row = 0; row < 9; ++row) {
-    for (int column = 0; column < 17; ++column) plan.at(column, row) = static_cast<Cell>(random() % 3);
+    for (int column = 0; column < 17; ++column)
+      plan.at(column, row) = static_cast<Cell>(random() % 3);
   }
   const RosMap map = ToRosMap(plan, "site/plan 1.pgm");
   EXPECT_EQ(RosMapImagePath(map.yaml).value(), "site/plan 1.pgm");
@@ -56,9 +57,10 @@ TEST(RosMap, WhatIsWrittenIsRead) {
 TEST(RosMap, RefusesDamagedPictures) {
   const std::string greys(6, '\0');
   for (const std::string& pgm :
-       {std::string(), std::string("P6\n3 2\n255\n") + greys, std::string("P5\n3 2\n65535\n") + greys,
-        std::string("P5\n-3 2\n255\n") + greys, std::string("P5\n3 0\n255\n") + greys,
-        std::string("P5\n99999999999 2\n255\n") + greys, std::string("P5\n2000000000 2000000000\n255\n"),
+       {std::string(), std::string("P6\n3 2\n255\n") + greys,
+        std::string("P5\n3 2\n65535\n") + greys, std::string("P5\n-3 2\n255\n") + greys,
+        std::string("P5\n3 0\n255\n") + greys, std::string("P5\n99999999999 2\n255\n") + greys,
+        std::string("P5\n2000000000 2000000000\n255\n"),
         std::string("P5\n3 2\n255\n") + greys.substr(1), std::string("P5\n3 2\n255"),
         std::string("P5 # no end")}) {
     EXPECT_EQ(ParseRosMap(kYaml, pgm).status().code(), absl::StatusCode::kInvalidArgument) << pgm;

@@ -1,10 +1,9 @@
 #include "building/stored_building.h"
 
+#include <gtest/gtest.h>
 #include <octomap/OcTree.h>
 
 #include <random>
-
-#include <gtest/gtest.h>
 
 namespace soundmap::building {
 namespace {
@@ -13,9 +12,9 @@ Building MakeBuilding() {
   auto octree = std::make_shared<octomap::OcTree>(0.05);
   std::mt19937 random(1);
   for (int i = 0; i < 300; ++i) {
-    octree->setNodeValue(octomap::OcTreeKey(32768 + random() % 20, 32768 + random() % 20,
-                                            32768 + random() % 20),
-                         random() % 2 ? 1.25f : -0.5f);
+    octree->setNodeValue(
+        octomap::OcTreeKey(32768 + random() % 20, 32768 + random() % 20, 32768 + random() % 20),
+        random() % 2 ? 1.25f : -0.5f);
   }
   FloorPlan plan(5, 4, 0.05, Eigen::Vector2d(-1.0 / 3.0, 0.1));
   for (int i = 0; i < 20; ++i) plan.at(i % 5, i / 5) = static_cast<Cell>(i % 3);

@@ -179,14 +179,35 @@ TEST_F(CliTest, AServersErrorIsItsSentence) {
   EXPECT_EQ(result.err, "soundmap: there is no sites/hall\n");
 }
 
+// Of nobody, valid for 100 years; its key was thrown away.
+constexpr char kCertificate[] =
+    "-----BEGIN CERTIFICATE-----\n"
+    "MIIBdjCCARugAwIBAgIUBiACJVVJ93ONq96Jqbse+8aMJncwCgYIKoZIzj0EAwIw\n"
+    "DzENMAsGA1UEAwwEdGVzdDAgFw0yNjExMjIwMjM5NTZaGA8yMTI2MTAyOTAyMzk1\n"
+    "NlowDzENMAsGA1UEAwwEdGVzdDBZMBMGByqGSM49AgEGCCqGSM49AwEHA0IABPKS\n"
+    "NBPKT6Y6tT+lw0W3an8dHDKRr52ULLnu81LgbqMjSB68vCaUae09IbvtmQvz45HX\n"
+    "1WonE2wNuQJnAXoQB6KjUzBRMB0GA1UdDgQWBBTEs5w/IzKShaitA2eGm08bYUKZ\n"
+    "UzAfBgNVHSMEGDAWgBTEs5w/IzKShaitA2eGm08bYUKZUzAPBgNVHRMBAf8EBTAD\n"
+    "AQH/MAoGCCqGSM49BAMCA0kAMEYCIQCTq9MDasx8M73lyvzz2dWWUnQf3SqP9PIi\n"
+    "krvPEzW80AIhAIhc7yh1YUby8sngK0TdrytR0jU31DwlJDrJEAHJyQ/S\n"
+    "-----END CERTIFICATE-----\n";
+
 TEST_F(CliTest, ATlsHandshakeThatFailsIsOneSentence) {
-  // The fake server speaks plain text. The certificate need not be a good one: it is never used.
-  const std::string ca =
-      Write("ca.pem", "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n");
-  const Result result = Run({"site", "list", "--tls-ca", ca});
+  // The fake server speaks plain text.
+  const Result result = Run({"site", "list", "--tls-ca", Write("ca.pem", kCertificate)});
   EXPECT_EQ(result.exit_status, 1);
-  EXPECT_THAT(result.err, HasSubstr(server_.address()));
-  ExpectOneSentence(result);
+  EXPECT_EQ(result.err,
+            "soundmap: the TLS handshake with the server at " + server_.address() + " failed\n");
+}
+
+TEST_F(CliTest, ACertificateThatIsNoneIsNamed) {
+  for (const char* text :
+       {"", "junk", "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"}) {
+    const std::string file = Write("ca.pem", text);
+    const Result result = Run({"site", "list", "--tls-ca", file});
+    EXPECT_EQ(result.exit_status, 1);
+    EXPECT_EQ(result.err, "soundmap: " + file + " holds no certificate in PEM form\n");
+  }
 }
 
 TEST_F(CliTest, AMissingFileIsNamed) {

@@ -164,10 +164,10 @@ TEST(Localizer, StandingStillKeepsThePose) {
 
 TEST(Localizer, OnAWrongMapItIsLost) {
   const Drive drive = MakeDrive(SyntheticRoom(), 20.0, 5);
+  // No wall of them stands where one of the right room does.
   const SyntheticRoom wrong_rooms[] = {
-      {{0.0, 0.0, 13.0, 9.5}, {{6.0, 0.0, 7.0, 5.0}}},
       {{-2.0, -2.0, 7.1, 5.2}, {{2.0, 3.0, 3.0, 4.0}}},
-      {{0.0, 0.0, 20.0, 15.0}, {}},
+      {{-1.4, -1.2, 20.0, 15.0}, {}},
   };
   for (const SyntheticRoom& wrong : wrong_rooms) {
     Localizer localizer = MakeLocalizer(Prepare(wrong));
@@ -177,7 +177,7 @@ TEST(Localizer, OnAWrongMapItIsLost) {
       EXPECT_NE(estimate.state, State::kTracking);
       lost += estimate.state == State::kLost;
     }
-    EXPECT_GT(lost, 0.7 * static_cast<double>(corrections.size()));
+    EXPECT_GT(lost, 0.9 * static_cast<double>(corrections.size()));
     EXPECT_EQ(corrections.back().state, State::kLost) << corrections.back().scan_fit;
     EXPECT_EQ(localizer.At(kStart_ns + 19 * kSecond_ns)->state, State::kLost);
   }

@@ -28,9 +28,8 @@ Eigen::Vector3f Beam(const World& world, const DriveModel& model, const Pose2& m
   std::normal_distribution<double> noise(0.0, 1.0);
   const Eigen::Vector3d direction = BeamDirection(model, ring, 2 * kPi * column / model.columns);
   const Eigen::Isometry3d map_from_lidar = map_from_base.ToIsometry() * model.base_from_lidar;
-  const double range_m =
-      world(map_from_lidar.translation(), map_from_lidar.linear() * direction) +
-      (model.range_noise_m > 0.0 ? model.range_noise_m * noise(random) : 0.0);
+  const double range_m = world(map_from_lidar.translation(), map_from_lidar.linear() * direction) +
+                         (model.range_noise_m > 0.0 ? model.range_noise_m * noise(random) : 0.0);
   return (range_m * direction).cast<float>();
 }
 
@@ -42,8 +41,7 @@ BoxRoom BoxRoom::WithFurniture() {
                                    {{6.5, 5.2, 0.0}, {8.0, 6.0, 1.1}}});
 }
 
-double BoxRoom::operator()(const Eigen::Vector3d& origin,
-                           const Eigen::Vector3d& direction) const {
+double BoxRoom::operator()(const Eigen::Vector3d& origin, const Eigen::Vector3d& direction) const {
   double nearest = std::numeric_limits<double>::infinity();
   for (int axis = 0; axis < 3; ++axis) {
     if (direction[axis] == 0.0) continue;
@@ -108,8 +106,7 @@ std::vector<frames::Frame> SimulateDrive(const World& world, const DriveModel& m
     frames::LidarScan scan;
     scan.stamp_ns = kDriveStart_ns + std::llround(time_s * 1e9);
     for (int column = 0; column < model.columns; ++column) {
-      const double offset_s =
-          model.swept ? model.lidar_period_s * column / model.columns : 0.0;
+      const double offset_s = model.swept ? model.lidar_period_s * column / model.columns : 0.0;
       for (int ring = 0; ring < model.rings; ++ring) {
         const Eigen::Vector3f point =
             Beam(world, model, model.MapFromBase(time_s + offset_s), ring, column, random);

@@ -1,10 +1,9 @@
 #pragma once
 
+#include <Eigen/Geometry>
 #include <functional>
 #include <random>
 #include <vector>
-
-#include <Eigen/Geometry>
 
 #include "frames/frames.h"
 #include "mapping/mapper.h"
@@ -15,7 +14,8 @@ struct Box {
   Eigen::Vector3d min, max;
 };
 
-// A room from the origin with boxes in it, and exact rays in it: the oracle of what a LIDAR sees and where surfaces are.
+// A room from the origin with boxes in it, and exact rays in it: the oracle of what a LIDAR sees
+// and where surfaces are.
 class BoxRoom {
  public:
   BoxRoom(const Eigen::Vector3d& size, std::vector<Box> obstacles)

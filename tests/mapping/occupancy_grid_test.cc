@@ -1,5 +1,6 @@
 #include "mapping/occupancy_grid.h"
 
+#include <gtest/gtest.h>
 #include <octomap/OcTree.h>
 
 #include <cmath>
@@ -7,8 +8,6 @@
 #include <map>
 #include <random>
 #include <set>
-
-#include <gtest/gtest.h>
 
 #include "building/building.h"
 
@@ -28,7 +27,8 @@ Cell At(const octomap::OcTree& octree, const Eigen::Vector3d& point) {
 
 TEST(OccupancyGrid, OneRayAlongAnAxis) {
   OccupancyGrid grid(kVoxel_m, {});
-  ASSERT_TRUE(grid.InsertScan(std::vector<Ray>{{{0.02f, 0.02f, 0.02f}, {1.02f, 0.02f, 0.02f}}}).ok());
+  ASSERT_TRUE(
+      grid.InsertScan(std::vector<Ray>{{{0.02f, 0.02f, 0.02f}, {1.02f, 0.02f, 0.02f}}}).ok());
   const auto octree = grid.ToOctree();
   for (int x = -2; x < 25; ++x) {
     const Cell expected = x < 0 || x > 20 ? Cell::kUnknown : x < 20 ? Cell::kFree : Cell::kOccupied;
@@ -52,8 +52,10 @@ TEST(OccupancyGrid, RandomRaysPassThroughWhatFineStepsPassThrough) {
   std::mt19937 random(1);
   std::uniform_real_distribution<float> coordinate(-1.0f, 1.0f);
   for (int i = 0; i < 300; ++i) {
-    const Eigen::Vector3d origin = Eigen::Vector3f(coordinate(random), coordinate(random), coordinate(random)).cast<double>();
-    const Eigen::Vector3d end = Eigen::Vector3f(coordinate(random), coordinate(random), coordinate(random)).cast<double>();
+    const Eigen::Vector3d origin =
+        Eigen::Vector3f(coordinate(random), coordinate(random), coordinate(random)).cast<double>();
+    const Eigen::Vector3d end =
+        Eigen::Vector3f(coordinate(random), coordinate(random), coordinate(random)).cast<double>();
     OccupancyGrid grid(kVoxel_m, {});
     ASSERT_TRUE(grid.InsertScan(std::vector<Ray>{{origin.cast<float>(), end.cast<float>()}}).ok());
     const auto octree = grid.ToOctree();

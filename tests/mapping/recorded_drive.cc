@@ -64,13 +64,12 @@ absl::StatusOr<RecordedDrive> ReadDrive(const std::string& path) {
     } else if (content.topic == recording::kOdometryTopic) {
       foxglove::Odometry odometry;
       odometry.ParseFromString(content.data);
-      drive.frames.emplace_back(frames::Odometry{
-          *recording::NsFromTimestamp(odometry.timestamp()), ToPose2(odometry.pose())});
+      drive.frames.emplace_back(frames::Odometry{*recording::NsFromTimestamp(odometry.timestamp()),
+                                                 ToPose2(odometry.pose())});
     } else if (content.topic == recording::kGroundTruthTopic) {
       foxglove::PoseInFrame pose;
       pose.ParseFromString(content.data);
-      drive.truth.push_back(
-          {*recording::NsFromTimestamp(pose.timestamp()), ToPose2(pose.pose())});
+      drive.truth.push_back({*recording::NsFromTimestamp(pose.timestamp()), ToPose2(pose.pose())});
     }
   }
   return drive;

@@ -1,9 +1,9 @@
 #include "mapping/registration.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <limits>
-
-#include <gtest/gtest.h>
 
 #include "geometry/angles.h"
 #include "mapping/point_thinning.h"
@@ -20,7 +20,8 @@ SurfaceMap MapOf(const BoxRoom& room, const DriveModel& model) {
   for (double time_s = 0.0; time_s < model.lap_s; time_s += 4.0) {
     const Pose2 map_from_base = model.MapFromBase(time_s);
     for (Eigen::Vector3f& point : ScanInBase(room, model, map_from_base, random)) {
-      map.Insert(std::vector{(map_from_base.ToIsometry() * point.cast<double>()).cast<float>().eval()});
+      map.Insert(
+          std::vector{(map_from_base.ToIsometry() * point.cast<double>()).cast<float>().eval()});
     }
   }
   map.FitPlanes();
@@ -39,8 +40,8 @@ TEST(Registration, FindsTheTruePoseFromPerturbedStarts) {
     const auto points = ScanInBase(room, model, truth, random);
     const Pose2 start{truth.x_m + shift_m(random), truth.y_m + shift_m(random),
                       truth.yaw_rad + turn_rad(random)};
-    const Registration found =
-        Register(points, map, start, {.start_distance_m = 0.5, .prior_std_m = 1.0, .prior_std_rad = 1.0});
+    const Registration found = Register(
+        points, map, start, {.start_distance_m = 0.5, .prior_std_m = 1.0, .prior_std_rad = 1.0});
     EXPECT_NEAR(found.map_from_base.x_m, truth.x_m, 0.005) << i;
     EXPECT_NEAR(found.map_from_base.y_m, truth.y_m, 0.005) << i;
     EXPECT_NEAR(geometry::NormalizeAngle(found.map_from_base.yaw_rad - truth.yaw_rad), 0.0, 0.0015)

@@ -1,11 +1,11 @@
 #include "mapping/surface_map.h"
 
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
 #include <cmath>
 #include <limits>
 #include <random>
-
-#include <Eigen/Geometry>
-#include <gtest/gtest.h>
 
 namespace soundmap::mapping {
 namespace {
@@ -57,8 +57,7 @@ TEST(SurfaceMap, PlanesAreFoundAndEdgesAreNot) {
   std::mt19937 random(3);
   std::uniform_real_distribution<float> along(0.0f, 3.0f);
   std::normal_distribution<float> noise(0.0f, 0.01f);
-  const Eigen::Matrix3f turn =
-      Eigen::AngleAxisf(0.3f, Eigen::Vector3f::UnitZ()).toRotationMatrix();
+  const Eigen::Matrix3f turn = Eigen::AngleAxisf(0.3f, Eigen::Vector3f::UnitZ()).toRotationMatrix();
   SurfaceMap map(0.2);
   for (int i = 0; i < 60000; ++i) {
     map.Insert(std::vector<Eigen::Vector3f>{
@@ -90,8 +89,8 @@ TEST(SurfaceMap, LeavesOutWhatIsNotInTheMap) {
   SurfaceMap map(0.2);
   const float nan = std::nanf("");
   const float infinity = std::numeric_limits<float>::infinity();
-  map.Insert(std::vector<Eigen::Vector3f>{
-      {nan, 0, 0}, {0, infinity, 0}, {0, 0, -infinity}, {1e9f, 0, 0}});
+  map.Insert(
+      std::vector<Eigen::Vector3f>{{nan, 0, 0}, {0, infinity, 0}, {0, 0, -infinity}, {1e9f, 0, 0}});
   map.FitPlanes();
   EXPECT_EQ(map.size(), 0u);
   EXPECT_EQ(map.Nearest({0, 0, 0}, 1.0), nullptr);

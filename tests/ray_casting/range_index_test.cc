@@ -1,10 +1,10 @@
 #include "ray_casting/range_index.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <limits>
 #include <random>
-
-#include <gtest/gtest.h>
 
 #include "geometry/angles.h"
 #include "geometry/directions.h"
@@ -59,9 +59,9 @@ void ExpectAsBruteForce(const std::vector<Eigen::Vector3f>& points, const Eigen:
 }
 
 std::vector<Eigen::Vector3d> Directions(std::mt19937_64& random, int count) {
-  std::vector<Eigen::Vector3d> directions = {
-      Eigen::Vector3d::UnitX(),  Eigen::Vector3d::UnitY(),  Eigen::Vector3d::UnitZ(),
-      -Eigen::Vector3d::UnitX(), -Eigen::Vector3d::UnitY(), -Eigen::Vector3d::UnitZ()};
+  std::vector<Eigen::Vector3d> directions = {Eigen::Vector3d::UnitX(),  Eigen::Vector3d::UnitY(),
+                                             Eigen::Vector3d::UnitZ(),  -Eigen::Vector3d::UnitX(),
+                                             -Eigen::Vector3d::UnitY(), -Eigen::Vector3d::UnitZ()};
   while (static_cast<int>(directions.size()) < count) directions.push_back(RandomDirection(random));
   return directions;
 }
@@ -92,9 +92,9 @@ TEST(RangeIndex, FindsWhatBruteForceFindsAmongRingsAndClusters) {
   std::vector<Eigen::Vector3f> points;
   for (int ring = -20; ring < 20; ++ring) {
     for (int beam = 0; beam < 180; ++beam) {
-      points.push_back((3.0 * geometry::DirectionFromAngles(RadFromDeg(2.0 * beam),
-                                                            RadFromDeg(2.3 * ring)))
-                           .cast<float>());
+      points.push_back(
+          (3.0 * geometry::DirectionFromAngles(RadFromDeg(2.0 * beam), RadFromDeg(2.3 * ring)))
+              .cast<float>());
     }
   }
   const Eigen::Vector3f heart(1.0f, 2.0f, 1.5f);
@@ -104,7 +104,8 @@ TEST(RangeIndex, FindsWhatBruteForceFindsAmongRingsAndClusters) {
   auto directions = Directions(random, 1500);
   const Eigen::Vector3d origin(0.1, 0.0, 0.8);
   for (int i = 0; i < 500; ++i) {
-    directions.push_back((heart.cast<double>() - origin + 0.05 * RandomDirection(random)).normalized());
+    directions.push_back(
+        (heart.cast<double>() - origin + 0.05 * RandomDirection(random)).normalized());
   }
   ExpectAsBruteForce(points, origin, 3.0, directions);
 }
@@ -138,7 +139,7 @@ TEST(RangeIndex, NothingBeyondTheAngle) {
 TEST(RangeIndex, HostilePointsAreNeverFound) {
   constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
   constexpr float kInf = std::numeric_limits<float>::infinity();
-  const std::vector<Eigen::Vector3f> points = {{kNan, 0, 0}, {kInf, 0, 0},   {0, -kInf, kNan},
+  const std::vector<Eigen::Vector3f> points = {{kNan, 0, 0}, {kInf, 0, 0},  {0, -kInf, kNan},
                                                {0, 0, 0},    {3e38f, 0, 0}, {1e-30f, 0, 0}};
   const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
   EXPECT_EQ(index.Nearest(Eigen::Vector3d::UnitX())->point, 4);

@@ -1,11 +1,11 @@
 #include "ray_casting/ray_caster.h"
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <set>
-
-#include <gtest/gtest.h>
 
 #include "geometry/angles.h"
 
@@ -53,12 +53,14 @@ std::vector<Eigen::Vector3d> BoxWalls(const Eigen::Vector3d& min, const Eigen::V
   return points;
 }
 
-// A source off every axis and out of every plane of symmetry, seen by an array that is mounted askew on a robot that stands askew and has
-// moved since the LIDAR scan. The place is built in the map and taken into each frame by its own transform, so that a wrong sign, order or
-// inverse anywhere puts the evidence elsewhere.
+// A source off every axis and out of every plane of symmetry, seen by an array that is mounted
+// askew on a robot that stands askew and has moved since the LIDAR scan. The place is built in the
+// map and taken into each frame by its own transform, so that a wrong sign, order or inverse
+// anywhere puts the evidence elsewhere.
 TEST(RayCaster, ASourceOffTheAxesLandsInItsVoxel) {
   const Eigen::Vector3d source_in_map(3.12, 4.57, 2.30);
-  const Eigen::Isometry3d map_from_audio_base = geometry::Pose2{1.3, 2.4, RadFromDeg(37.0)}.ToIsometry();
+  const Eigen::Isometry3d map_from_audio_base =
+      geometry::Pose2{1.3, 2.4, RadFromDeg(37.0)}.ToIsometry();
   const Eigen::Isometry3d map_from_lidar_base =
       geometry::Pose2{1.1, 2.55, RadFromDeg(21.0)}.ToIsometry();
   const Eigen::Isometry3d base_from_array =
@@ -102,7 +104,8 @@ TEST(RayCaster, ASourceOffTheAxesLandsInItsVoxel) {
 
 // One direction straight to a wall: the end point in closed form.
 TEST(RayCaster, TheRayHasTheRangeOfThePointAndTheDirectionOfTheGrid) {
-  const Eigen::Vector3d direction = geometry::DirectionFromAngles(RadFromDeg(30.0), RadFromDeg(10.0));
+  const Eigen::Vector3d direction =
+      geometry::DirectionFromAngles(RadFromDeg(30.0), RadFromDeg(10.0));
   const Eigen::Vector3d aside = geometry::DirectionFromAngles(RadFromDeg(32.0), RadFromDeg(10.0));
   Eigen::Isometry3d base_from_array = Eigen::Isometry3d::Identity();
   base_from_array.translation() = Eigen::Vector3d(0.2, 0.1, 1.0);
@@ -121,8 +124,7 @@ TEST(RayCaster, TheRayHasTheRangeOfThePointAndTheDirectionOfTheGrid) {
 
 TEST(RayCaster, BeyondTheRangeNothingIsUpdated) {
   const auto grid = geometry::DirectionGrid({Eigen::Vector3d::UnitX()}, 0.02);
-  const auto caster =
-      RayCaster::Create(PaperConfig(), grid, Eigen::Isometry3d::Identity()).value();
+  const auto caster = RayCaster::Create(PaperConfig(), grid, Eigen::Isometry3d::Identity()).value();
   const Eigen::Vector3f near(5.99f, 0.0f, 0.0f);
   const Eigen::Vector3f far(6.01f, 0.0f, 0.0f);
   const auto scan = LikelihoodOf(1, 0.9f);
@@ -183,10 +185,10 @@ TEST(RayCaster, RefusesWhatItCannotPlace) {
   const auto status = caster.Cast(faulty, lidar, PoseAt(0, 0, 0)).status();
   EXPECT_NE(status.message().find("microphone 3 is dead"), absl::string_view::npos);
   // No LIDAR point: nothing to say, but no error.
-  EXPECT_TRUE(caster.Cast(LikelihoodOf(1, 0.9f), {kMid_ns, {}}, PoseAt(0, 0, 0))->end_points.empty());
-  // Outside the octree.
   EXPECT_TRUE(
-      caster.Cast(LikelihoodOf(1, 0.9f), lidar, PoseAt(1e9, 0, 0))->end_points.empty());
+      caster.Cast(LikelihoodOf(1, 0.9f), {kMid_ns, {}}, PoseAt(0, 0, 0))->end_points.empty());
+  // Outside the octree.
+  EXPECT_TRUE(caster.Cast(LikelihoodOf(1, 0.9f), lidar, PoseAt(1e9, 0, 0))->end_points.empty());
 }
 
 TEST(RayCaster, AConfigurationThatCannotBeIsRefusedByName) {

@@ -1,10 +1,9 @@
-#include "sources/simulation/wheel_odometry.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "sources/simulation/random_streams.h"
+#include "sources/simulation/wheel_odometry.h"
 
 namespace soundmap::simulation {
 namespace {
@@ -38,7 +37,7 @@ TEST(WheelOdometry, DriftHasTheMeanAndSpreadOfItsModelAtAnyRate) {
   OdometryConfig config;
   config.yaw_drift_rad_per_m = 0.003;
   constexpr int kDrives = 400;
-  for (double step_m : {0.03, 0.1}) {
+  for (double step_m : {0.025, 0.1}) {
     std::vector<double> yaw_rad, ahead_m;
     for (int seed = 0; seed < kDrives; ++seed) {
       yaw_rad.push_back(Drive(config, step_m, seed).yaw_rad);

@@ -15,7 +15,8 @@
 #include "sources/simulation/simulate.h"
 #include "tests/simulation/scene_texts.h"
 
-// The shipped grill room beside the sample of another simulator: the steered response power must be neither easier nor harder to read.
+// The shipped grill room beside the sample of another simulator: the steered response power must be
+// neither easier nor harder to read.
 namespace soundmap::simulation {
 namespace {
 
@@ -41,7 +42,8 @@ Drive Read(const std::string& path) {
       transforms.ParseFromString((*message)->data);
       for (const auto& transform : transforms.transforms()) {
         if (!transform.child_frame_id().starts_with("mic_") ||
-            transform.child_frame_id() == "mic_array") continue;
+            transform.child_frame_id() == "mic_array")
+          continue;
         drive.microphone_in_array_m.emplace_back(
             transform.translation().x(), transform.translation().y(), transform.translation().z());
       }
@@ -61,43 +63,51 @@ Drive Read(const std::string& path) {
   return drive;
 }
 
-// S(theta_i, phi_i, k) of eqs. (1)-(5), as they stand, in double precision; u_i from the array to the source, so that the phase delay
-// to be undone is -omega p.u / c.
-std::vector<double> SteeredPower(const Drive& drive, std::size_t first_sample,
+// S(theta_i, phi_i, k) of eqs. (1)-(5), as they stand, in double precision, of all scans that begin
+// at `first_samples`; u_i from the array to the source, so that the phase delay to be undone is
+// -omega p.u / c.
+std::vector<double> SteeredPower(const Drive& drive, const std::vector<std::size_t>& first_samples,
                                  const std::vector<Eigen::Vector3d>& directions) {
   constexpr int kWindow = 400, kFrames = 10, kFirstBin = 25, kLastBin = 75;
+  using Complex = std::complex<double>;
   const int microphones = static_cast<int>(drive.microphone_in_array_m.size());
-  std::vector<double> power(directions.size(), 0.0);
+  std::vector<double> power(first_samples.size() * directions.size(), 0.0);
+  std::vector<Complex> h(directions.size() * microphones), v(kFrames * microphones);
   for (int f = kFirstBin; f <= kLastBin; ++f) {
     const double omega = 2 * kPi * f * 16000.0 / kWindow;
-    std::vector<std::vector<std::complex<double>>> v(kFrames);
-    for (int t = 0; t < kFrames; ++t) {
-      for (int n = 0; n < microphones; ++n) {
-        std::complex<double> x = 0.0;
-        for (int i = 0; i < kWindow; ++i) {
-          const double hann = 0.5 - 0.5 * std::cos(2 * kPi * i / kWindow);
-          x += drive.audio[n][first_sample + t * kWindow / 2 + i] *
-               std::polar(hann, -2 * kPi * ((f * i) % kWindow) / kWindow);
-        }
-        v[t].push_back(std::abs(x) > 0.0 ? x / std::abs(x) : 0.0);  // (1)
-      }
+    std::vector<Complex> transform(kWindow);
+    for (int i = 0; i < kWindow; ++i) {
+      const double hann = 0.5 - 0.5 * std::cos(2 * kPi * i / kWindow);
+      transform[i] = std::polar(hann, -2 * kPi * ((f * i) % kWindow) / kWindow);
     }
-    std::vector<std::complex<double>> h(microphones);
     for (std::size_t d = 0; d < directions.size(); ++d) {
       for (int n = 0; n < microphones; ++n) {  // (3)
-        h[n] = std::polar(1.0 / microphones,
-                          -omega * drive.microphone_in_array_m[n].dot(directions[d]) / 343.0);
+        h[d * microphones + n] = std::polar(
+            1.0 / microphones, -omega * drive.microphone_in_array_m[n].dot(directions[d]) / 343.0);
       }
-      double mean = 0.0;
+    }
+    for (std::size_t scan = 0; scan < first_samples.size(); ++scan) {
       for (int t = 0; t < kFrames; ++t) {
-        double re = 0.0, im = 0.0;
-        for (int n = 0; n < microphones; ++n) {  // (2)
-          re += h[n].real() * v[t][n].real() - h[n].imag() * v[t][n].imag();
-          im += h[n].real() * v[t][n].imag() + h[n].imag() * v[t][n].real();
+        for (int n = 0; n < microphones; ++n) {
+          const double* samples = &drive.audio[n][first_samples[scan] + t * kWindow / 2];
+          Complex x = 0.0;
+          for (int i = 0; i < kWindow; ++i) x += samples[i] * transform[i];
+          v[t * microphones + n] = std::abs(x) > 0.0 ? x / std::abs(x) : 0.0;  // (1)
         }
-        mean += (re * re + im * im) / kFrames;  // (4)
       }
-      power[d] += mean;  // (5)
+      for (std::size_t d = 0; d < directions.size(); ++d) {
+        double mean = 0.0;
+        for (int t = 0; t < kFrames; ++t) {
+          double re = 0.0, im = 0.0;
+          for (int n = 0; n < microphones; ++n) {  // (2)
+            const Complex a = h[d * microphones + n], b = v[t * microphones + n];
+            re += a.real() * b.real() - a.imag() * b.imag();
+            im += a.real() * b.imag() + a.imag() * b.real();
+          }
+          mean += (re * re + im * im) / kFrames;  // (4)
+        }
+        power[scan * directions.size() + d] += mean;  // (5)
+      }
     }
   }
   return power;
@@ -115,13 +125,12 @@ Summary Summarize(const Drive& drive) {
     const double azimuth_rad = kPi * (1 + std::sqrt(5.0)) * i;
     directions.emplace_back(r * std::cos(azimuth_rad), r * std::sin(azimuth_rad), z);
   }
-  std::vector<double> all;
   constexpr int kScans = 56;
+  std::vector<std::size_t> first_samples;
   for (int scan = 0; scan < kScans; ++scan) {
-    const auto first = static_cast<std::size_t>(scan * (kComparedS - 0.5) / kScans * 16000);
-    const auto power = SteeredPower(drive, first, directions);
-    all.insert(all.end(), power.begin(), power.end());
+    first_samples.push_back(static_cast<std::size_t>(scan * (kComparedS - 0.5) / kScans * 16000));
   }
+  std::vector<double> all = SteeredPower(drive, first_samples, directions);
   std::sort(all.begin(), all.end());
   return {all[all.size() / 2], all[all.size() * 99 / 100], all.back()};
 }

@@ -15,8 +15,8 @@ nlohmann::json DrivingScene() {
   auto scene = StandingScene();
   scene["furniture"] = {{{3.5, 3, 0}, {4.5, 4, 1}}};
   scene["people"] = {{{"way_points", {{1, 1}, {1, 6}}}, {"speed_mps", 1.5}}};
-  scene["lidar"] = {{"swept", true}, {"range_noise_m", 0}, {"dropout_rate", 0}, {"rate_hz", 2},
-                    {"position_m", {0.1, 0, 1.45}}, {"rpy_deg", {5, -8, 20}}};
+  scene["lidar"] = {{"swept", true}, {"range_noise_m", 0},           {"dropout_rate", 0},
+                    {"rate_hz", 2},  {"position_m", {0.1, 0, 1.45}}, {"rpy_deg", {5, -8, 20}}};
   scene["path"] = {{"way_points", {{2.5, 2}, {5.5, 2}, {5.5, 5}, {2.5, 5}}}, {"speed_mps", 1.0}};
   return scene;
 }
@@ -31,7 +31,8 @@ double ToSurface(const Scene& scene, const Eigen::Vector3d& point, double time_s
   };
   double nearest_m = to_faces({Eigen::Vector3d::Zero(), scene.room_m});
   for (const Box& box : scene.furniture) nearest_m = std::min(nearest_m, to_faces(box));
-  for (const Box& box : PeopleAt(scene.people, time_s)) nearest_m = std::min(nearest_m, to_faces(box));
+  for (const Box& box : PeopleAt(scene.people, time_s))
+    nearest_m = std::min(nearest_m, to_faces(box));
   return nearest_m;
 }
 
@@ -54,7 +55,8 @@ TEST(Lidar, SweptPointsLieOnSurfacesAtTheirOwnTimesAndNotAtTheScans) {
                scan.point_in_lidar[i].cast<double>();
       };
       worst_m = std::max(worst_m, ToSurface(scene, map_point(own_s), own_s));
-      worst_if_instant_m = std::max(worst_if_instant_m, ToSurface(scene, map_point(time_s), time_s));
+      worst_if_instant_m =
+          std::max(worst_if_instant_m, ToSurface(scene, map_point(time_s), time_s));
     }
   }
   EXPECT_LT(worst_m, 1e-5);
@@ -71,8 +73,8 @@ TEST(Lidar, InstantaneousScansHaveNoOffsetsAndAllPointsFitOnePose) {
       ScanLidar(scene, RayCaster(scene.room_m, scene.furniture), *trajectory, 4.0, engine);
   EXPECT_TRUE(scan.time_offset_ns.empty());
   for (const auto& point : scan.point_in_lidar) {
-    const Eigen::Vector3d in_map = trajectory->At(4.0).map_from_base() *
-                                   scene.lidar.base_from_lidar * point.cast<double>();
+    const Eigen::Vector3d in_map =
+        trajectory->At(4.0).map_from_base() * scene.lidar.base_from_lidar * point.cast<double>();
     ASSERT_LT(ToSurface(scene, in_map, 4.0), 1e-5);
   }
 }
@@ -117,8 +119,9 @@ TEST(Lidar, NothingReturnsFromBeyondTheMaximumRange) {
 TEST(Laser, ReadsTheRangeOfEachBeamWithItsNoiseBadBeamsAndDropouts) {
   auto text = StandingScene();
   text["path"]["standing_yaw_deg"] = 30;
-  text["laser"] = {{"position_m", {0.2, 0.1, 0.3}}, {"beams", 541}, {"field_of_view_deg", 270},
-                   {"range_noise_m", 0.01}, {"bad_beam_rate", 0.1}, {"dropout_rate", 0.05}};
+  text["laser"] = {{"position_m", {0.2, 0.1, 0.3}}, {"beams", 541},
+                   {"field_of_view_deg", 270},      {"range_noise_m", 0.01},
+                   {"bad_beam_rate", 0.1},          {"dropout_rate", 0.05}};
   const Scene scene = Parse(text);
   const auto trajectory = Trajectory::Create(scene.path, 1.0);
   const RayCaster rays(scene.room_m, scene.furniture);
@@ -152,9 +155,13 @@ TEST(Laser, ReadsTheRangeOfEachBeamWithItsNoiseBadBeamsAndDropouts) {
 
 TEST(Laser, SeesPeopleWalk) {
   auto text = StandingScene();
-  text["people"] = {{{"way_points", {{6, 3}, {4, 3}}}, {"speed_mps", 0.5}, {"size_m", {0.4, 0.4, 1.7}}}};
-  text["laser"] = {{"position_m", {0, 0, 0.3}}, {"beams", 3}, {"field_of_view_deg", 180},
-                   {"range_noise_m", 0}, {"bad_beam_rate", 0}};
+  text["people"] = {
+      {{"way_points", {{6, 3}, {4, 3}}}, {"speed_mps", 0.5}, {"size_m", {0.4, 0.4, 1.7}}}};
+  text["laser"] = {{"position_m", {0, 0, 0.3}},
+                   {"beams", 3},
+                   {"field_of_view_deg", 180},
+                   {"range_noise_m", 0},
+                   {"bad_beam_rate", 0}};
   const Scene scene = Parse(text);
   const auto trajectory = Trajectory::Create(scene.path, 1.0);
   auto engine = MakeEngine(1, RandomStream::kLaser);

@@ -59,7 +59,7 @@ TEST(SceneJson, EveryErrorNamesFileAndField) {
       {"/odometry", {{"rate_hz", 1e9}}, "'odometry.rate_hz'"},
       {"/path/way_points", nlohmann::json::array(), "'path.way_points'"},
       {"/path/way_points", {{1, 1}, {2, 2, 0}}, "'path.way_points[1]'"},
-      {"/path/way_points", {{3, 3}, {20, 3}}, "'lidar.position_m'"},
+      {"/path/way_points", {{3, 3}, {20, 3}}, "'laser.position_m'"},
       {"/path/standing_s", 0, "'path'"},
       {"/path/laps", 1e9, "'path.laps'"},
   };

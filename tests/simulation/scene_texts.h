@@ -7,7 +7,8 @@
 
 namespace soundmap::simulation {
 
-// A small valid scene: free field, one white source, an array of one microphone on a robot that stands at (3, 3).
+// A small valid scene: free field, one white source, an array of one microphone on a robot that
+// stands at (3, 3).
 nlohmann::json StandingScene();
 
 // The scene, which must be valid.

@@ -47,11 +47,15 @@ nlohmann::json DrivingScene() {
   auto scene = StandingScene();
   scene["reverberation"] = {{"rt60_s", 0.3}};
   scene["furniture"] = {{{3.5, 3, 0}, {4.5, 4, 1}}};
-  scene["sources"] = {{{"kind", "fan"}, {"position", {4, 3.5, 1}}, {"extent_m", 0.3}, {"level", 0.5},
-                       {"on_s", 1.5}, {"off_s", 90}},
+  scene["sources"] = {{{"kind", "fan"},
+                       {"position", {4, 3.5, 1}},
+                       {"extent_m", 0.3},
+                       {"level", 0.5},
+                       {"on_s", 1.5},
+                       {"off_s", 90}},
                       {{"kind", "motor"}, {"position", {0, 3, 1}}}};
-  scene["array"] = {{"position_m", {0.1, 0, 1.2}}, {"rpy_deg", {0, 0, 90}}, {"shape", "cube"},
-                    {"radius_m", 0.1}};
+  scene["array"] = {
+      {"position_m", {0.1, 0, 1.2}}, {"rpy_deg", {0, 0, 90}}, {"shape", "cube"}, {"radius_m", 0.1}};
   scene["lidar"] = {{"swept", true}};
   scene["path"] = {{"way_points", {{2, 2}, {6, 2}, {6, 5}, {2, 5}}}, {"speed_mps", 1.0}};
   return scene;
@@ -156,8 +160,9 @@ TEST(Simulate, TruthSaysWhatTheSceneHolds) {
   EXPECT_EQ(truth["obstacles"], scene["furniture"]);
   ASSERT_EQ(truth["sources"].size(), 2u);
   EXPECT_EQ(truth["sources"][0], scene["sources"][0]);
-  EXPECT_EQ(truth["sources"][1], nlohmann::json({{"kind", "motor"}, {"position", {0, 3, 1}}, {"extent_m", 0},
-                                                 {"level", 1}}));
+  EXPECT_EQ(
+      truth["sources"][1],
+      nlohmann::json({{"kind", "motor"}, {"position", {0, 3, 1}}, {"extent_m", 0}, {"level", 1}}));
   foxglove::PoseInFrame first;
   for (const auto& message : MessagesOf(folder + "/a.b.mcap")) {
     if (message.topic != "/ground_truth/pose") continue;
@@ -166,7 +171,8 @@ TEST(Simulate, TruthSaysWhatTheSceneHolds) {
   }
   EXPECT_NEAR(truth["start_pose"][0], first.pose().position().x(), 1e-9);
   EXPECT_NEAR(truth["start_pose"][1], first.pose().position().y(), 1e-9);
-  EXPECT_NEAR(std::sin(truth["start_pose"][2].get<double>() / 2), first.pose().orientation().z(), 1e-9);
+  EXPECT_NEAR(std::sin(truth["start_pose"][2].get<double>() / 2), first.pose().orientation().z(),
+              1e-9);
 }
 
 TEST(Simulate, TheSameSceneGivesTheSameBytesAndAnotherSeedOthers) {
@@ -217,7 +223,8 @@ TEST(Simulate, ADriftingAudioClockStampsItsChunksInTrueTime) {
   int chunk = 0;
   for (const auto& message : MessagesOf(folder + "/d.mcap")) {
     if (message.topic != "/audio") continue;
-    EXPECT_NEAR((message.log_time_ns - 1'700'000'000'000'000'000) * 1e-9, chunk * 0.05 / 1.001, 1e-8);
+    EXPECT_NEAR((message.log_time_ns - 1'700'000'000'000'000'000) * 1e-9, chunk * 0.05 / 1.001,
+                1e-8);
     ++chunk;
   }
   EXPECT_EQ(chunk, 81);
@@ -238,8 +245,10 @@ TEST(Simulate, ReportsWhatItCannotDo) {
   auto no_wav = DrivingScene();
   no_wav["sources"][0]["kind"] = "missing.wav";
   options.seconds = 0.2;
-  EXPECT_THAT(std::string(Simulate(SceneFile(folder, no_wav), folder + "/d.mcap", options).status().message()),
-              ::testing::HasSubstr(folder + "/missing.wav"));
+  EXPECT_THAT(
+      std::string(
+          Simulate(SceneFile(folder, no_wav), folder + "/d.mcap", options).status().message()),
+      ::testing::HasSubstr(folder + "/missing.wav"));
   EXPECT_FALSE(std::filesystem::exists(folder + "/d.mcap"));
 }
 

@@ -43,8 +43,9 @@ struct Arrival {
   double delay_samples, amplitude;
 };
 
-// Arrivals of an impulse at sample 0, estimated one by one: the others' closed form is taken off the spectrum, what remains is
-// compared with this one's closed form; delay error = slope of the phase over the band, amplitude = mean magnitude.
+// Arrivals of an impulse at sample 0, estimated one by one: the others' closed form is taken off
+// the spectrum, what remains is compared with this one's closed form; delay error = slope of the
+// phase over the band, amplitude = mean magnitude.
 std::vector<Arrival> ErrorsOf(const std::vector<double>& response,
                               const std::vector<Arrival>& expected) {
   std::vector<Arrival> errors;
@@ -52,7 +53,8 @@ std::vector<Arrival> ErrorsOf(const std::vector<double>& response,
     return std::polar(arrival.amplitude, -omega * arrival.delay_samples);
   };
   std::vector<double> omegas;
-  for (double f_hz = 500.0; f_hz <= 7000.0; f_hz += 50.0) omegas.push_back(2 * kPi * f_hz / kRateHz);
+  for (double f_hz = 500.0; f_hz <= 7000.0; f_hz += 50.0)
+    omegas.push_back(2 * kPi * f_hz / kRateHz);
   std::vector<std::complex<double>> measured;
   for (double omega : omegas) {
     std::complex<double> sum = 0.0;
@@ -107,7 +109,8 @@ TEST(SoundField, ArrivalsOfRandomGeometriesMeetTheClosedForm) {
     for (int m = 0; m < 3; ++m) {
       microphones.push_back({0.3 * uniform(engine), 0.3 * uniform(engine), 0.3 * uniform(engine)});
     }
-    text["array"] = {{"position_m", {0.1, 0.05, 1.2}}, {"rpy_deg", {10, 20, 30}},
+    text["array"] = {{"position_m", {0.1, 0.05, 1.2}},
+                     {"rpy_deg", {10, 20, 30}},
                      {"microphones_m", microphones}};
     const double x = 1.5 + 5 * uniform(engine), y = 1.5 + 4 * uniform(engine);
     const double yaw_deg = 360 * uniform(engine);
@@ -127,8 +130,7 @@ TEST(SoundField, ArrivalsOfRandomGeometriesMeetTheClosedForm) {
         Eigen::Isometry3d(Eigen::AngleAxisd(10 * kPi / 180, Eigen::Vector3d::UnitX()));
     for (int m = 0; m < 3; ++m) {
       const Eigen::Vector3d microphone =
-          map_from_array *
-          Eigen::Vector3d(microphones[m][0], microphones[m][1], microphones[m][2]);
+          map_from_array * Eigen::Vector3d(microphones[m][0], microphones[m][1], microphones[m][2]);
       std::vector<Arrival> expected = {From(source, microphone, 1.0),
                                        From(mirrored(source, wall_a), microphone, 0.9),
                                        From(mirrored(source, wall_b), microphone, 0.8)};
@@ -159,17 +161,21 @@ TEST(SoundField, LevelIsTheRmsAtOneMetreAndFallsWithTheDistance) {
 // A source flush with a wall keeps its level: it radiates into half the space.
 TEST(SoundField, ASourceOnAWallDoesNotDoubleWithItsMirrorImage) {
   auto text = StandingScene();
-  text["reverberation"] = {{"absorption", {{"x_min", 1}, {"x_max", 1}, {"y_min", 1}, {"y_max", 1},
-                                           {"floor", 1}, {"ceiling", 0.19}}}};
+  text["reverberation"] = {
+      {"absorption",
+       {{"x_min", 1}, {"x_max", 1}, {"y_min", 1}, {"y_max", 1}, {"floor", 1}, {"ceiling", 0.19}}}};
   text["sources"][0]["position"] = {3, 4, 3};
   EXPECT_NEAR(Rms(Listen(Parse(text), 4.0)[0]) * std::hypot(1.0, 1.8), 1.0, 0.02);
 }
 
-// The closed form for the moving robot: the wave meets the microphone where it is when the wave arrives.
+// The closed form for the moving robot: the wave meets the microphone where it is when the wave
+// arrives.
 TEST(SoundField, DelaysFollowTheMovingMicrophone) {
   auto text = StandingScene();
   text["sources"] = {{{"kind", "click"}, {"position", {7.5, 3, 1.2}}, {"level", 1}}};
-  text["path"] = {{"way_points", {{0.5, 2}, {7, 2}}}, {"closed", false}, {"speed_mps", 1.0},
+  text["path"] = {{"way_points", {{0.5, 2}, {7, 2}}},
+                  {"closed", false},
+                  {"speed_mps", 1.0},
                   {"acceleration_mps2", 2}};
   text["array"]["microphones_m"] = {{0, 0, 0}, {0.1, 0.1, 0.1}};
   const Scene scene = Parse(text);
@@ -248,8 +254,9 @@ TEST(SoundField, DecayMeetsTheReverberationTimeAskedFor) {
   }
 }
 
-// Reverberant power of the theory: p^2 = 4 pi c / V * RT60 / 13.8 for a source of 1 at 1 m in the diffuse field.
-TEST(SoundField, DiffusePowerMeetsTheory) {
+// Barron's revised theory: a source of 1 at 1 m makes the reverberant power 4 pi c / V * RT60
+// / 13.8 * exp(-13.8 t / RT60), t being the time that the direct sound takes.
+TEST(SoundField, ReverberantPowerMeetsTheory) {
   auto text = StandingScene();
   text["room_m"] = {10, 7, 4};
   text["reverberation"] = {{"rt60_s", 0.6}, {"image_order", 0}};
@@ -257,31 +264,38 @@ TEST(SoundField, DiffusePowerMeetsTheory) {
   text["array"] = {{"shape", "sphere"}, {"count", 8}, {"radius_m", 0.3}};
   double power = 0.0;
   for (const auto& channel : Listen(Parse(text), 8.0)) power += std::pow(Rms(channel), 2) / 8;
-  const double theory = 100.0 * 4 * kPi * kSpeedMps / 280.0 * 0.6 / 13.8155;
-  EXPECT_NEAR(power / theory, 0.85, 0.2);  // the energy before the first reflection is missing in a real room
+  const double direct_s = Eigen::Vector3d(6, 3, 0.8).norm() / kSpeedMps;
+  const double theory =
+      4 * kPi * kSpeedMps / 280.0 * 0.6 / 13.8155 * std::exp(-13.8155 * direct_s / 0.6);
+  EXPECT_NEAR(power / (100.0 * theory), 1.0, 0.1);
 }
 
 TEST(SoundField, TheTailIsCoherentAsADiffuseFieldIs) {
   auto text = StandingScene();
-  text["reverberation"] = {{"rt60_s", 0.5}, {"image_order", 0}};
+  text["reverberation"] = {{"rt60_s", 0.8}, {"image_order", 0}};
   text["sources"][0].update({{"position", {7.5, 6.5, 2.5}}, {"directivity_db", -20}});
   text["array"]["microphones_m"] = {{0, 0, 0}, {0.1, 0, 0}, {0, 0.1, 0}, {0, 0, 0.1}};
   const auto heard = Listen(Parse(text), 9.0);
-  constexpr int kFrame = 512;
-  for (double f_hz : {500.0, 1000.0, 1500.0, 2500.0}) {
-    double cross = 0.0, power = 0.0;
-    for (std::size_t start = 0; start + kFrame < heard[0].size(); start += kFrame / 2) {
-      std::complex<double> bin[4] = {};
-      for (int i = 0; i < kFrame; ++i) {
-        const auto turn = std::polar(0.5 - 0.5 * std::cos(2 * kPi * i / kFrame),
-                                     -2 * kPi * f_hz / kRateHz * i);
-        for (int m = 0; m < 4; ++m) bin[m] += heard[m][start + i] * turn;
+  constexpr int kFrame = 1024;
+  for (double middle_hz : {700.0, 1200.0, 1800.0, 2500.0}) {
+    double cross = 0.0, power = 0.0, theory = 0.0;
+    constexpr int kBins = 30;
+    for (int b = 0; b < kBins; ++b) {
+      const double f_hz = middle_hz + (b - kBins / 2) * 31.25;
+      const auto step = std::polar(1.0, -2 * kPi * f_hz / kRateHz);
+      for (std::size_t start = 0; start + kFrame < heard[0].size(); start += 2 * kFrame) {
+        std::complex<double> bin[4] = {}, turn = 1.0;
+        for (int i = 0; i < kFrame; ++i, turn *= step) {
+          const auto weight = (0.5 - 0.5 * std::cos(2 * kPi * i / kFrame)) * turn;
+          for (int m = 0; m < 4; ++m) bin[m] += heard[m][start + i] * weight;
+        }
+        for (int m = 1; m < 4; ++m) cross += (bin[0] * std::conj(bin[m])).real() / 3;
+        for (int m = 0; m < 4; ++m) power += std::norm(bin[m]) / 4;
       }
-      for (int m = 1; m < 4; ++m) cross += (bin[0] * std::conj(bin[m])).real() / 3;
-      power += std::norm(bin[0]);
+      const double kd = 2 * kPi * f_hz / kSpeedMps * 0.1;
+      theory += std::sin(kd) / kd / kBins;
     }
-    const double kd = 2 * kPi * f_hz / kSpeedMps * 0.1;
-    EXPECT_NEAR(cross / power, std::sin(kd) / kd, 0.12) << f_hz;
+    EXPECT_NEAR(cross / power, theory, 0.08) << middle_hz;
   }
 }
 
@@ -300,9 +314,9 @@ TEST(SoundField, SourcesGoOnAndOff) {
     return Rms({heard.begin() + static_cast<int>(from_s * kRateHz),
                 heard.begin() + static_cast<int>(to_s * kRateHz)});
   };
-  EXPECT_LT(part(0.0, 0.5), 1e-6);
+  EXPECT_LT(part(0.0, 0.5), 1e-3);
   EXPECT_GT(part(0.55, 0.95), 0.3);
-  EXPECT_LT(part(1.05, 1.5), 1e-6);
+  EXPECT_LT(part(1.05, 1.5), 1e-3);
 }
 
 TEST(SoundField, SensorNoiseIsIndependentBetweenMicrophones) {

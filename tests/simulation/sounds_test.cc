@@ -87,7 +87,8 @@ TEST(Sounds, TheEngineDecidesTheNoise) {
   EXPECT_NE(Play(SoundKind::kFan, 0.1, 5), Play(SoundKind::kFan, 0.1, 6));
 }
 
-std::string WriteWav(const std::string& name, int rate_hz, const std::vector<std::int16_t>& samples) {
+std::string WriteWav(const std::string& name, int rate_hz,
+                     const std::vector<std::int16_t>& samples) {
   const std::string path = FreshFolder() + "/" + name;
   std::ofstream file(path, std::ios::binary);
   const auto put = [&](auto value) { file.write(reinterpret_cast<char*>(&value), sizeof(value)); };

@@ -1,11 +1,11 @@
 #include "sound_map/clustering.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <map>
 #include <random>
 #include <set>
-
-#include <gtest/gtest.h>
 
 namespace soundmap::sound_map {
 namespace {
@@ -114,7 +114,8 @@ TEST(KMeans, FindsSeparatedClustersInClosedForm) {
   EXPECT_LT(result.iterations, 50);
 }
 
-// At a fixed point every centre is the mean of its points and every point belongs to its nearest centre.
+// At a fixed point every centre is the mean of its points and every point belongs to its nearest
+// centre.
 TEST(KMeans, EndsInAFixedPoint) {
   std::mt19937 random(5);
   std::normal_distribution<double> normal;

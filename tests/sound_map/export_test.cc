@@ -1,12 +1,12 @@
 #include "sound_map/export.h"
 
+#include <gtest/gtest.h>
+#include <octomap/OcTree.h>
+
 #include <cstring>
 #include <map>
 #include <memory>
 #include <sstream>
-
-#include <gtest/gtest.h>
-#include <octomap/OcTree.h>
 
 #include "sound_map/color_map.h"
 #include "sound_map/sound_map.h"

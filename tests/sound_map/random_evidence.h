@@ -8,7 +8,8 @@
 
 namespace soundmap::sound_map {
 
-// Scans around the centre of the octree, across several tiles, with voxels that come again and now and then a scan that is late.
+// Scans around the centre of the octree, across several tiles, with voxels that come again and now
+// and then a scan that is late.
 inline std::vector<EvidenceScan> RandomScans(int count, int end_points, std::uint64_t seed,
                                              std::vector<float> likelihoods = {0.1f, 0.5f, 0.9f,
                                                                                0.999f}) {
@@ -22,10 +23,10 @@ inline std::vector<EvidenceScan> RandomScans(int count, int end_points, std::uin
     stamp_ns += 137'500'001;
     scan.stamp_ns = random() % 5 == 0 ? stamp_ns - 1'000'000'000 : stamp_ns;
     for (int i = 0; i < end_points; ++i) {
-      scan.end_points.push_back({{static_cast<std::uint16_t>(part(random) / 4 * 4),
-                                  static_cast<std::uint16_t>(part(random)),
-                                  static_cast<std::uint16_t>(height(random))},
-                                 likelihoods[kind(random)]});
+      scan.end_points.push_back(
+          {{static_cast<std::uint16_t>(part(random) / 4 * 4),
+            static_cast<std::uint16_t>(part(random)), static_cast<std::uint16_t>(height(random))},
+           likelihoods[kind(random)]});
     }
   }
   return scans;

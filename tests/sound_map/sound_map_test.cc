@@ -1,12 +1,12 @@
 #include "sound_map/sound_map.h"
 
+#include <gtest/gtest.h>
+
 #include <atomic>
 #include <cmath>
 #include <limits>
 #include <map>
 #include <thread>
-
-#include <gtest/gtest.h>
 
 #include "tests/sound_map/random_evidence.h"
 
@@ -212,7 +212,8 @@ TEST(SoundMap, ASnapshotStaysWhileTheWriterGoesOn) {
   EXPECT_NE(map->TakeSnapshot(), before);
 }
 
-// Readers count while the writer writes: in every view the update counts sum up to the end points of its revision.
+// Readers count while the writer writes: in every view the update counts sum up to the end points
+// of its revision.
 TEST(SoundMap, ReadersSeeWholeScans) {
   const auto map = MakeMap(PaperConfig());
   const auto scans = RandomScans(400, 500, 14);
@@ -266,7 +267,8 @@ TEST(SoundMap, OnlyChangedTilesAreDirty) {
   EXPECT_EQ(map->TakeSnapshot()->TileRevision(TileOf(there.key)), 2u);
 }
 
-// Checkpoint after 100 scans, a crash, the tiles back, the journal again from scan 100: the same bytes as without the crash.
+// Checkpoint after 100 scans, a crash, the tiles back, the journal again from scan 100: the same
+// bytes as without the crash.
 TEST(SoundMap, TilesAndJournalGiveTheSameMap) {
   for (const SoundMapConfig& config : {PaperConfig(), DefaultConfig()}) {
     const auto scans = RandomScans(200, 1500, 15);

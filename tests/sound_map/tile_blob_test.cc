@@ -1,8 +1,8 @@
 #include "sound_map/tile_blob.h"
 
-#include <cstring>
-
 #include <gtest/gtest.h>
+
+#include <cstring>
 
 #include "sound_map/sound_map.h"
 #include "sound_map/tile.h"

@@ -1,8 +1,8 @@
 #include "sound_map/voxel_query.h"
 
-#include <map>
-
 #include <gtest/gtest.h>
+
+#include <map>
 
 #include "sound_map/sound_map.h"
 #include "tests/sound_map/random_evidence.h"

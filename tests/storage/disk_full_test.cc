@@ -1,7 +1,9 @@
 #include <gtest/gtest.h>
 #include <sys/mount.h>
 
+#include <filesystem>
 #include <fstream>
+#include <random>
 
 #include "absl/strings/str_cat.h"
 #include "storage/frame_sequence.h"
@@ -25,9 +27,11 @@ class DiskFull : public ::testing::TestWithParam<std::int64_t> {
     if (!folder_.empty()) ::umount2(folder_.c_str(), MNT_DETACH);
   }
 
+  std::string filler() const { return folder_ + "/filler"; }
+
   // Takes all the space there is.
   void Fill() const {
-    std::ofstream file(folder_ + "/data/sessions/filler", std::ios::binary);
+    std::ofstream file(filler(), std::ios::binary);
     for (int bytes : {1 << 20, 4096, 1}) {
       const std::string zeros(static_cast<std::size_t>(bytes), '\0');
       while (file.write(zeros.data(), bytes).flush()) {
@@ -35,7 +39,7 @@ class DiskFull : public ::testing::TestWithParam<std::int64_t> {
       file.clear();
     }
   }
-  void Free() const { std::remove((folder_ + "/data/sessions/filler").c_str()); }
+  void Free() const { std::remove(filler().c_str()); }
 
   std::string folder_;
   StoreOptions options_;
@@ -54,47 +58,67 @@ void ExpectFrames(const SessionLog& log, std::int64_t count) {
   EXPECT_EQ(offset, count);
 }
 
-TEST_P(DiskFull, IsSaidAndPasses) {
-  const SessionId id{"hall", "drive"};
-  auto store = Store::Open(folder_ + "/data", options_).value();
-  auto log = store->OpenSession(id).value();
+TEST_P(DiskFull, StopsTheLogAndPasses) {
+  const std::string folder = folder_ + "/log";
+  auto log = SessionLog::Open(folder, options_.session_log).value();
   const auto append = [&log](std::int64_t end) {
     while (log->received() < end) ASSERT_TRUE(log->Append(FrameAt(log->received())).ok());
   };
   append(100);
   ASSERT_EQ(log->Sync().value(), 100);
-  Commit commit{"hall", "drive", 100, {EntryAt(3)}, {}, StateAt(100)};
-  ASSERT_TRUE(store->CommitBatch(commit).ok());
-  ASSERT_TRUE(store->PutRecord(Table::kSite, "hall", "before").ok());
-
-  for (int round = 1; round <= 3; ++round) {
-    const std::int64_t durable = 200 * round - 100;
+  for (std::int64_t durable = 100; durable < 700; durable += 200) {
     append(durable + 200);
     Fill();
     for (int attempt = 0; attempt < 3; ++attempt) {
       const auto full = log->Sync();
       ASSERT_TRUE(absl::IsResourceExhausted(full.status())) << full.status();
-      EXPECT_NE(full.status().message().find(folder_), absl::string_view::npos);
+      EXPECT_NE(full.status().message().find(folder), absl::string_view::npos);
     }
     EXPECT_TRUE(absl::IsResourceExhausted(log->Append(FrameAt(durable + 200)).status()));
     EXPECT_EQ(log->received(), durable + 200);
     ExpectFrames(*log, durable);
-    // The database has written into space of its own or says that there is none.
+    Free();
+    ASSERT_EQ(log->Sync().value(), durable + 200);
+    ExpectFrames(*log, durable + 200);
+  }
+  log.reset();
+  ExpectFrames(*SessionLog::Open(folder, options_.session_log, 700).value(), 700);
+}
+
+// The space ends at once, or while the database writes its tables too.
+TEST_P(DiskFull, StopsTheDatabaseAndPasses) {
+  const SessionId id{"hall", "drive"};
+  auto store = Store::Open(folder_ + "/data", options_).value();
+  auto log = store->OpenSession(id).value();
+  for (std::int64_t offset = 0; offset < 100; ++offset) {
+    ASSERT_TRUE(log->Append(FrameAt(offset)).ok());
+  }
+  ASSERT_EQ(log->Sync().value(), 100);
+  Commit commit{"hall", "drive", 100, {EntryAt(3)}, {}, StateAt(100)};
+  ASSERT_TRUE(store->CommitBatch(commit).ok());
+  ASSERT_TRUE(store->PutRecord(Table::kSite, "hall", "before").ok());
+
+  std::mt19937_64 random(1);
+  std::string noise(200'000, '\0');
+  for (char& byte : noise) byte = static_cast<char>(random());
+  int round = 0;
+  for (const std::size_t left_bytes : {0u, 20u << 20, 3u << 20}) {
+    Fill();
+    std::filesystem::resize_file(filler(), std::filesystem::file_size(filler()) - left_bytes);
     absl::Status put;
-    for (int record = 0; record < 100 && put.ok(); ++record) {
-      put = store->PutRecord(Table::kServer, std::to_string(record), std::string(200'000, 'x'));
+    for (int record = 0; record < 1000 && put.ok(); ++record) {
+      put = store->PutRecord(Table::kServer, std::to_string(record), noise);
     }
     EXPECT_TRUE(absl::IsResourceExhausted(put)) << put;
     EXPECT_EQ(store->GetRecord(Table::kSite, "hall").value(), "before");
     EXPECT_EQ(store->ProcessedOffset(id).value(), 100);
 
     Free();
-    ASSERT_EQ(log->Sync().value(), durable + 200);
-    ExpectFrames(*log, durable + 200);
-    const auto after = store->PutRecord(Table::kRobot, absl::StrCat("r", round), "after");
+    const auto after = store->PutRecord(Table::kRobot, absl::StrCat("r", ++round), "after");
     ASSERT_TRUE(after.ok()) << after;
     const auto records = store->ListRecords(Table::kServer, "").value();
     for (const Record& record : records) {
+      ASSERT_EQ(record.bytes, noise);
       ASSERT_TRUE(store->DeleteRecord(Table::kServer, record.key).ok());
     }
   }
@@ -103,17 +127,17 @@ TEST_P(DiskFull, IsSaidAndPasses) {
 
   auto again = Store::Open(folder_ + "/data", options_);
   ASSERT_TRUE(again.ok()) << again.status();
-  ExpectFrames(*(*again)->OpenSession(id).value(), 700);
+  ExpectFrames(*(*again)->OpenSession(id).value(), 100);
   EXPECT_EQ((*again)->GetRecord(Table::kSite, "hall").value(), "before");
   EXPECT_EQ((*again)->ListRecords(Table::kRobot, "").value().size(), 3u);
   EXPECT_EQ((*again)->LastSequence("hall").value(), 1u);
+  EXPECT_EQ((*again)->LatestState(id).value()->offset, 100);
 }
 
 // Killed while the disk was full: the copy is what the next start finds.
 TEST_P(DiskFull, LeavesADurablePrefixBehind) {
-  const std::string folder = folder_ + "/data";
-  auto store = Store::Open(folder, options_).value();
-  auto log = store->OpenSession({"hall", "drive"}).value();
+  const std::string folder = folder_ + "/log";
+  auto log = SessionLog::Open(folder, options_.session_log).value();
   for (std::int64_t offset = 0; offset < 50; ++offset) {
     ASSERT_TRUE(log->Append(FrameAt(offset)).ok());
   }
@@ -124,7 +148,7 @@ TEST_P(DiskFull, LeavesADurablePrefixBehind) {
   Fill();
   ASSERT_TRUE(absl::IsResourceExhausted(log->Sync().status()));
   const std::string copy = EmptyFolder("full_copy");
-  for (const std::string& path : FilesUnder(folder + "/sessions", ".mcap")) {
+  for (const std::string& path : FilesUnder(folder, ".mcap")) {
     WriteWholeFile(copy + path.substr(path.rfind('/')), ReadWholeFile(path));
   }
   Free();
@@ -143,8 +167,8 @@ TEST_P(DiskFull, DeletingIsStillPossibleWhenLittleIsLeft) {
   ASSERT_TRUE(store->PutRecord(Table::kSite, "hall", "x").ok());
   ASSERT_TRUE(log->Append(FrameAt(1)).ok());
   {
-    std::ofstream filler(folder_ + "/data/sessions/filler", std::ios::binary);
-    filler << std::string(90 << 20, '\0');
+    std::ofstream file(filler(), std::ios::binary);
+    file << std::string(90 << 20, '\0');
   }
   EXPECT_TRUE(absl::IsResourceExhausted(store->PutRecord(Table::kSite, "other", "x")));
   EXPECT_TRUE(absl::IsResourceExhausted(log->Sync().status()));

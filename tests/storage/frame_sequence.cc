@@ -25,6 +25,23 @@ std::uint64_t Mixed(std::uint64_t value) {
   return value ^ (value >> 29);
 }
 
+std::string EmptyFolderUnder(const std::filesystem::path& parent, const std::string& name) {
+  struct Folders {
+    std::set<std::filesystem::path> paths;
+    ~Folders() {
+      std::error_code ignored;
+      for (const auto& path : paths) std::filesystem::remove_all(path, ignored);
+    }
+  };
+  static Folders folders;
+  const std::filesystem::path path =
+      parent / ("soundmap_storage_" + std::to_string(::getpid()) + "_" + name);
+  folders.paths.insert(path);
+  std::filesystem::remove_all(path);
+  std::filesystem::create_directories(path);
+  return path.string();
+}
+
 }  // namespace
 
 recording::Message FrameAt(std::int64_t offset) {
@@ -86,23 +103,15 @@ std::vector<sound_map::EndPoint> RoomEndPoints(int directions, std::mt19937_64* 
 }
 
 std::string EmptyFolder(const std::string& name) {
-  struct Folders {
-    std::set<std::filesystem::path> paths;
-    ~Folders() {
-      std::error_code ignored;
-      for (const auto& path : paths) std::filesystem::remove_all(path, ignored);
-    }
-  };
-  static Folders folders;
   const char* const temporary = std::getenv("TEST_TMPDIR");
-  const std::filesystem::path path =
-      (temporary != nullptr ? std::filesystem::path(temporary)
-                            : std::filesystem::temp_directory_path()) /
-      ("soundmap_storage_" + std::to_string(::getpid()) + "_" + name);
-  folders.paths.insert(path);
-  std::filesystem::remove_all(path);
-  std::filesystem::create_directories(path);
-  return path.string();
+  return EmptyFolderUnder(temporary != nullptr ? std::filesystem::path(temporary)
+                                               : std::filesystem::temp_directory_path(),
+                          name);
+}
+
+std::string EmptyMemoryFolder(const std::string& name) {
+  const std::filesystem::path memory = "/dev/shm";
+  return ::access(memory.c_str(), W_OK) == 0 ? EmptyFolderUnder(memory, name) : EmptyFolder(name);
 }
 
 std::string ReadWholeFile(const std::string& path) {

@@ -25,6 +25,10 @@ std::vector<sound_map::EndPoint> RoomEndPoints(int directions, std::mt19937_64* 
 // returns its path.
 std::string EmptyFolder(const std::string& name);
 
+// The same in memory where the system has /dev/shm (it may be small): for a test that opens
+// thousands of logs, each of which syncs.
+std::string EmptyMemoryFolder(const std::string& name);
+
 std::string ReadWholeFile(const std::string& path);
 void WriteWholeFile(const std::string& path, const std::string& bytes);
 

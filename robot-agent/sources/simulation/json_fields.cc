@@ -89,7 +89,8 @@ std::string JsonFields::String(const std::string& name, std::optional<std::strin
   const auto* value = Raw(name);
   if (value == nullptr && fallback) return *fallback;
   if (value == nullptr || !value->is_string()) {
-    errors_.Add(PathOf(name), value == nullptr ? "is missing: it must be a text" : "must be a text");
+    errors_.Add(PathOf(name),
+                value == nullptr ? "is missing: it must be a text" : "must be a text");
     return fallback.value_or("");
   }
   return value->get<std::string>();

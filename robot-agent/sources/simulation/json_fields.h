@@ -31,8 +31,9 @@ struct Limits {
   double max = std::numeric_limits<double>::max();
 };
 
-// Reads the members of one JSON object by name. After an error each getter returns its default (numbers: 0 if there is none), and the
-// error stands in `errors`. A member that no getter asked for is an error of Finish().
+// Reads the members of one JSON object by name. After an error each getter returns its default
+// (numbers: 0 if there is none), and the error stands in `errors`. A member that no getter asked
+// for is an error of Finish().
 class JsonFields {
  public:
   JsonFields(const nlohmann::json& object, std::string path, JsonErrors& errors);

@@ -8,9 +8,10 @@
 namespace soundmap::simulation {
 namespace {
 
-constexpr double kFlushM = 0.02;   // a source this near to a surface lies on it
+constexpr double kFlushM = 0.02;  // a source this near to a surface lies on it
 constexpr double kBinS = 0.002;
-constexpr double kFreePaths = 8.0;  // after as many mean free paths hardly any image has a low order
+constexpr double kFreePaths =
+    8.0;  // after as many mean free paths hardly any image has a low order
 
 struct AxisImage {
   double coordinate_m;
@@ -33,10 +34,10 @@ std::vector<AxisImage> AxisImages(double length_m, double source_m, double refle
         const bool first_at_max = q == 0 ? n < 0 : n > 0;  // where the path first meets a wall
         if (first_at_max ? on_max : on_min) continue;
       }
-      images.push_back({(1 - 2 * q) * source_m + 2 * n * length_m,
-                        std::pow(reflection_min, std::abs(n - q)) *
-                            std::pow(reflection_max, std::abs(n)),
-                        order});
+      images.push_back(
+          {(1 - 2 * q) * source_m + 2 * n * length_m,
+           std::pow(reflection_min, std::abs(n - q)) * std::pow(reflection_max, std::abs(n)),
+           order});
     }
   }
   return images;
@@ -50,8 +51,9 @@ std::vector<RoomImage> RoomImages(const Eigen::Vector3d& room_m,
                                   double max_distance_m) {
   std::vector<AxisImage> along[3];
   for (int axis = 0; axis < 3; ++axis) {
-    along[axis] = AxisImages(room_m[axis], source_m[axis], reverberation.wall_reflection[2 * axis],
-                             reverberation.wall_reflection[2 * axis + 1], max_order, max_distance_m);
+    along[axis] =
+        AxisImages(room_m[axis], source_m[axis], reverberation.wall_reflection[2 * axis],
+                   reverberation.wall_reflection[2 * axis + 1], max_order, max_distance_m);
   }
   std::vector<RoomImage> images;
   for (const auto& x : along[0]) {
@@ -123,15 +125,15 @@ std::vector<double> TailEnergy(const Scene& scene, double sample_rate_hz,
   if (!(reverberation.rt60_s > 0.0) || sources_m.empty() || listeners_m.empty()) return {};
   const Eigen::Vector3d& room_m = scene.room_m;
   const double volume_m3 = room_m.prod();
-  const double surface_m2 = 2.0 * (room_m.x() * room_m.y() + room_m.x() * room_m.z() +
-                                   room_m.y() * room_m.z());
+  const double surface_m2 =
+      2.0 * (room_m.x() * room_m.y() + room_m.x() * room_m.z() + room_m.y() * room_m.z());
   const double counted_m = kFreePaths * 4.0 * volume_m3 / surface_m2;
   const int bins = static_cast<int>(counted_m / scene.speed_of_sound_mps / kBinS) + 1;
   std::vector<double> all(bins, 0.0), missing(bins, 0.0);
   for (const auto& source_m : sources_m) {
-    for (const auto& image : RoomImages(room_m, reverberation, source_m,
-                                        std::numeric_limits<int>::max() / 4,
-                                        counted_m + room_m.norm())) {
+    for (const auto& image :
+         RoomImages(room_m, reverberation, source_m, std::numeric_limits<int>::max() / 4,
+                    counted_m + room_m.norm())) {
       for (const auto& listener_m : listeners_m) {
         const double distance_m = (image.position_m - listener_m).norm();
         const int bin = static_cast<int>(distance_m / scene.speed_of_sound_mps / kBinS);

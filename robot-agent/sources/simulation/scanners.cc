@@ -67,7 +67,8 @@ std::vector<double> ScanLaser(const Scene& scene, const RayCaster& rays,
         rays.RangeM(map_from_laser.translation(), map_from_laser.linear() * direction, people);
     double measured_m = range_m + (laser.range_noise_m > 0.0 ? noise_m(engine) : 0.0);
     const bool dropped = chance(engine) < laser.dropout_rate;
-    if (dropped || range_m > laser.max_range_m) measured_m = std::numeric_limits<double>::infinity();
+    if (dropped || range_m > laser.max_range_m)
+      measured_m = std::numeric_limits<double>::infinity();
     if (chance(engine) < laser.bad_beam_rate) measured_m = anything_m(engine);
     ranges_m.push_back(std::max(measured_m, kShortestM));
   }

@@ -16,7 +16,8 @@ struct LidarScan {
   std::vector<std::uint32_t> time_offset_ns;    // after the start of the scan; empty if not swept
 };
 
-// 3D LIDAR: one column of rings after the other, counter-clockwise from the sensor's x axis. A beam without return leaves no point.
+// 3D LIDAR: one column of rings after the other, counter-clockwise from the sensor's x axis. A beam
+// without return leaves no point.
 LidarScan ScanLidar(const Scene& scene, const RayCaster& rays, const Trajectory& trajectory,
                     double time_s, std::mt19937_64& engine);
 
@@ -25,7 +26,6 @@ double FirstBeamAngleRad(const LaserConfig& laser);
 
 // Ranges of the laser range finder, instantaneous; `inf` without return.
 std::vector<double> ScanLaser(const Scene& scene, const RayCaster& rays,
-                              const Trajectory& trajectory, double time_s,
-                              std::mt19937_64& engine);
+                              const Trajectory& trajectory, double time_s, std::mt19937_64& engine);
 
 }  // namespace soundmap::simulation

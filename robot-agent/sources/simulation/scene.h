@@ -8,8 +8,9 @@
 
 #include "absl/status/statusor.h"
 
-// A scene: what stands in a room, what sounds there, and the robot that drives through it. Frame `map`: one corner of the room is the
-// origin, the floor is z = 0. Times count from the start of the drive.
+// A scene: what stands in a room, what sounds there, and the robot that drives through it. Frame
+// `map`: one corner of the room is the origin, the floor is z = 0. Times count from the start of
+// the drive.
 namespace soundmap::simulation {
 
 struct Box {
@@ -25,7 +26,8 @@ struct SourceConfig {
   std::string wav_path;         // kWav: absolute or relative to the working directory
   double extent_m = 0.0;        // edge of the square that emits
   double level = 1.0;           // rms amplitude at 1 m; kClick: the click's amplitude
-  double directivity_db = 0.0;  // reflections and tail are as much weaker than those of a source that sounds alike on all sides
+  double directivity_db = 0.0;  // reflections and tail are as much weaker than those of a source
+                                // that sounds alike on all sides
   std::optional<double> on_s, off_s;
 };
 
@@ -38,8 +40,9 @@ struct PersonConfig {
 };
 
 struct ReverberationConfig {
-  double rt60_s = 0.0;           // 0: free field
-  Eigen::Matrix<double, 6, 1> wall_reflection;  // pressure, of x = 0, x = max, y = 0, y = max, floor, ceiling
+  double rt60_s = 0.0;  // 0: free field
+  Eigen::Matrix<double, 6, 1>
+      wall_reflection;  // pressure, of x = 0, x = max, y = 0, y = max, floor, ceiling
   int image_order = 2;
 };
 
@@ -51,10 +54,11 @@ struct ArrayConfig {
 struct AudioConfig {
   int sample_rate_hz = 16000;
   double chunk_s = 0.05;
-  double sensor_noise = 0.01;     // rms amplitude of each microphone, in the unit of `level`
-  double robot_noise = 0.0;       // rms amplitude at 1 m of the robot's own drive
-  double clock_drift_ppm = 0.0;   // of the audio device: it takes (1 + 1e-6 ppm) * sample_rate_hz samples a second
-  double obstruction_db = 12.0;   // loss of a direct path through furniture or a person
+  double sensor_noise = 0.01;  // rms amplitude of each microphone, in the unit of `level`
+  double robot_noise = 0.0;    // rms amplitude at 1 m of the robot's own drive
+  double clock_drift_ppm =
+      0.0;  // of the audio device: it takes (1 + 1e-6 ppm) * sample_rate_hz samples a second
+  double obstruction_db = 12.0;  // loss of a direct path through furniture or a person
 };
 
 struct LidarConfig {
@@ -65,7 +69,7 @@ struct LidarConfig {
   double range_noise_m = 0.015;
   double dropout_rate = 0.02;
   double max_range_m = 30.0;
-  bool swept = false;             // points are taken at their own times, one turn a scan
+  bool swept = false;  // points are taken at their own times, one turn a scan
 };
 
 struct LaserConfig {
@@ -74,8 +78,8 @@ struct LaserConfig {
   double field_of_view_rad = 0.0;
   double rate_hz = 10.0;
   double range_noise_m = 0.01;
-  double bad_beam_rate = 0.01;    // such a beam reads anything
-  double dropout_rate = 0.0;      // such a beam reads `inf`
+  double bad_beam_rate = 0.01;  // such a beam reads anything
+  double dropout_rate = 0.0;    // such a beam reads `inf`
   double max_range_m = 30.0;
 };
 

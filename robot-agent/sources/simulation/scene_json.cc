@@ -29,8 +29,9 @@ struct KindName {
   SoundKind kind;
 };
 constexpr KindName kKindNames[] = {
-    {"fan", SoundKind::kFan},         {"hiss", SoundKind::kHiss},   {"hum", SoundKind::kHum},
-    {"speech", SoundKind::kSpeech},   {"machine", SoundKind::kMachine}, {"motor", SoundKind::kMachine},
+    {"fan", SoundKind::kFan},         {"hiss", SoundKind::kHiss},
+    {"hum", SoundKind::kHum},         {"speech", SoundKind::kSpeech},
+    {"machine", SoundKind::kMachine}, {"motor", SoundKind::kMachine},
     {"white", SoundKind::kWhite},     {"click", SoundKind::kClick},
 };
 
@@ -98,11 +99,12 @@ PersonConfig ReadPerson(const nlohmann::json& element, const std::string& path,
                         JsonErrors& errors) {
   JsonFields fields(element, path, errors);
   PersonConfig person;
-  person.size_m = Vector(fields.Numbers("size_m", 3, {0.05, 5.0}, std::vector<double>{0.5, 0.4, 1.75}));
+  person.size_m =
+      Vector(fields.Numbers("size_m", 3, {0.05, 5.0}, std::vector<double>{0.5, 0.4, 1.75}));
   const auto points = fields.Elements("way_points", 1000);
   for (std::size_t i = 0; i < points.size(); ++i) {
-    const auto xy = NumbersOf(points[i], absl::StrCat(path, ".way_points[", i, "]"), 2, kCoordinate,
-                              errors);
+    const auto xy =
+        NumbersOf(points[i], absl::StrCat(path, ".way_points[", i, "]"), 2, kCoordinate, errors);
     person.way_points_m.emplace_back(xy[0], xy[1]);
   }
   if (points.empty()) errors.Add(path + ".way_points", "must have one point or more");
@@ -112,7 +114,8 @@ PersonConfig ReadPerson(const nlohmann::json& element, const std::string& path,
   return person;
 }
 
-// Eyring's formula relates the mean absorption to RT60; pressure reflection is sqrt(1 - absorption).
+// Eyring's formula relates the mean absorption to RT60; pressure reflection is sqrt(1 -
+// absorption).
 ReverberationConfig ReadReverberation(JsonFields fields, const Eigen::Vector3d& room_m) {
   ReverberationConfig reverberation;
   reverberation.image_order = fields.Integer("image_order", 0, 6, reverberation.image_order);
@@ -122,7 +125,8 @@ ReverberationConfig ReadReverberation(JsonFields fields, const Eigen::Vector3d& 
   const double eyring_s = kSabineSecondsPerM * room_m.prod() / area_m2.sum();
   reverberation.wall_reflection.setZero();
   if (const auto* absorption = fields.Raw("absorption")) {
-    if (fields.Has("rt60_s")) fields.errors().Add(fields.PathOf("rt60_s"), "and absorption exclude each other");
+    if (fields.Has("rt60_s"))
+      fields.errors().Add(fields.PathOf("rt60_s"), "and absorption exclude each other");
     constexpr Limits kShare{0.01, 1.0};
     Eigen::Matrix<double, 6, 1> alpha;
     if (absorption->is_object()) {
@@ -143,7 +147,8 @@ ReverberationConfig ReadReverberation(JsonFields fields, const Eigen::Vector3d& 
     if (reverberation.rt60_s > 0.0) {
       const double alpha = -std::expm1(-eyring_s / reverberation.rt60_s);
       if (alpha > 0.99) {
-        fields.errors().Add(fields.PathOf("rt60_s"), "is shorter than full absorption makes it in this room");
+        fields.errors().Add(fields.PathOf("rt60_s"),
+                            "is shorter than full absorption makes it in this room");
       }
       reverberation.wall_reflection.setConstant(std::sqrt(1.0 - alpha));
     }
@@ -159,8 +164,8 @@ ArrayConfig ReadArray(JsonFields fields) {
     const auto elements = fields.Elements("microphones_m", 64);
     for (std::size_t i = 0; i < elements.size(); ++i) {
       array.microphone_in_array_m.push_back(
-          Vector(NumbersOf(elements[i], absl::StrCat(fields.PathOf("microphones_m"), "[", i, "]"), 3,
-                           {-1.0, 1.0}, fields.errors())));
+          Vector(NumbersOf(elements[i], absl::StrCat(fields.PathOf("microphones_m"), "[", i, "]"),
+                           3, {-1.0, 1.0}, fields.errors())));
     }
   } else {
     const auto shape = ArrayShapeFromName(fields.String("shape", "dome"));
@@ -186,7 +191,8 @@ AudioConfig ReadAudio(JsonFields fields) {
   audio.chunk_s = fields.Number("chunk_s", {0.01, 1.0}, audio.chunk_s);
   audio.sensor_noise = fields.Number("sensor_noise", {0.0, 1e6}, audio.sensor_noise);
   audio.robot_noise = fields.Number("robot_noise", {0.0, 1e6}, audio.robot_noise);
-  audio.clock_drift_ppm = fields.Number("clock_drift_ppm", {-1000.0, 1000.0}, audio.clock_drift_ppm);
+  audio.clock_drift_ppm =
+      fields.Number("clock_drift_ppm", {-1000.0, 1000.0}, audio.clock_drift_ppm);
   audio.obstruction_db = fields.Number("obstruction_db", {0.0, 100.0}, audio.obstruction_db);
   fields.Finish();
   return audio;
@@ -198,9 +204,9 @@ LidarConfig ReadLidar(JsonFields fields) {
   constexpr Limits kElevationDeg{-90.0, 90.0};
   const auto* list = fields.Raw("elevations_deg");
   if (list != nullptr && list->is_array() && !list->empty() && list->size() <= 256) {
-    for (double elevation_deg : NumbersOf(*list, fields.PathOf("elevations_deg"),
-                                          static_cast<int>(list->size()), kElevationDeg,
-                                          fields.errors())) {
+    for (double elevation_deg :
+         NumbersOf(*list, fields.PathOf("elevations_deg"), static_cast<int>(list->size()),
+                   kElevationDeg, fields.errors())) {
       lidar.ring_elevation_rad.push_back(elevation_deg * kRadPerDeg);
     }
   } else if (list != nullptr) {
@@ -211,12 +217,13 @@ LidarConfig ReadLidar(JsonFields fields) {
         fields.Numbers("elevation_deg", 2, kElevationDeg, std::vector<double>{-20.0, 85.0});
     for (int i = 0; i < rings; ++i) {
       const double share = rings == 1 ? 0.5 : static_cast<double>(i) / (rings - 1);
-      lidar.ring_elevation_rad.push_back(
-          (range_deg[0] + share * (range_deg[1] - range_deg[0])) * kRadPerDeg);
+      lidar.ring_elevation_rad.push_back((range_deg[0] + share * (range_deg[1] - range_deg[0])) *
+                                         kRadPerDeg);
     }
   }
   const double step_deg = fields.Number("azimuth_step_deg", {0.05, 180.0}, 1.2);
-  lidar.azimuth_steps = std::max(1, static_cast<int>(std::lround(360.0 / std::max(step_deg, 0.05))));
+  lidar.azimuth_steps =
+      std::max(1, static_cast<int>(std::lround(360.0 / std::max(step_deg, 0.05))));
   lidar.rate_hz = fields.Number("rate_hz", {0.01, 50.0}, lidar.rate_hz);
   lidar.range_noise_m = fields.Number("range_noise_m", {0.0, 10.0}, lidar.range_noise_m);
   lidar.dropout_rate = fields.Number("dropout_rate", {0.0, 1.0}, lidar.dropout_rate);
@@ -262,8 +269,9 @@ PathConfig ReadPath(JsonFields fields) {
   const auto points = fields.Elements("way_points", 10000);
   for (std::size_t i = 0; i < points.size(); ++i) {
     const bool own_speed = points[i].is_array() && points[i].size() == 3;
-    const auto numbers = NumbersOf(points[i], absl::StrCat(fields.PathOf("way_points"), "[", i, "]"),
-                                   own_speed ? 3 : 2, kCoordinate, fields.errors());
+    const auto numbers =
+        NumbersOf(points[i], absl::StrCat(fields.PathOf("way_points"), "[", i, "]"),
+                  own_speed ? 3 : 2, kCoordinate, fields.errors());
     path.way_points_m.emplace_back(numbers[0], numbers[1]);
     path.speed_mps.push_back(own_speed ? numbers[2] : speed_mps);
     if (!(path.speed_mps.back() >= 0.02 && path.speed_mps.back() <= 10.0)) {
@@ -271,7 +279,8 @@ PathConfig ReadPath(JsonFields fields) {
                           "must have a speed from 0.02 to 10");
     }
   }
-  if (points.empty()) fields.errors().Add(fields.PathOf("way_points"), "must have one point or more");
+  if (points.empty())
+    fields.errors().Add(fields.PathOf("way_points"), "must have one point or more");
   path.closed = fields.Bool("closed", path.closed);
   path.laps = fields.Number("laps", {0.01, 1000.0}, path.laps);
   path.mapping_laps = fields.Number("mapping_laps", {0.01, 1000.0}, path.laps);
@@ -281,19 +290,22 @@ PathConfig ReadPath(JsonFields fields) {
   path.turn_smoothing_m = fields.Number("turn_smoothing_m", {0.0, 20.0}, path.turn_smoothing_m);
   path.acceleration_mps2 = fields.Number("acceleration_mps2", {0.01, 20.0}, path.acceleration_mps2);
   path.max_yaw_rate_radps =
-      fields.Number("max_yaw_rate_dps", {1.0, 720.0}, path.max_yaw_rate_radps / kRadPerDeg) * kRadPerDeg;
+      fields.Number("max_yaw_rate_dps", {1.0, 720.0}, path.max_yaw_rate_radps / kRadPerDeg) *
+      kRadPerDeg;
   path.standing_yaw_rad = fields.Number("standing_yaw_deg", {-360.0, 360.0}, 0.0) * kRadPerDeg;
   path.standing_s = fields.Number("standing_s", {0.0, 86400.0}, 0.0);
   fields.Finish();
   return path;
 }
 
-// The robot must have room where it drives: up to its highest sensor no furniture, and walls around it.
+// The robot must have room where it drives: up to its highest sensor no furniture, and walls around
+// it.
 void CheckPath(const Scene& scene, JsonErrors& errors) {
   for (const double laps : {scene.path.laps, scene.path.mapping_laps}) {
     const auto trajectory = Trajectory::Create(scene.path, laps);
     if (!trajectory.ok()) {
-      errors.Add("path", absl::StrCat("cannot be driven: ", std::string(trajectory.status().message())));
+      errors.Add("path",
+                 absl::StrCat("cannot be driven: ", std::string(trajectory.status().message())));
       return;
     }
   }
@@ -337,8 +349,8 @@ absl::StatusOr<Scene> ParseScene(const std::string& text, const std::string& nam
   bool too_deep = false;
   nlohmann::json document;
   try {
-    document = nlohmann::json::parse(
-        text, [&](int depth, nlohmann::json::parse_event_t, nlohmann::json&) {
+    document =
+        nlohmann::json::parse(text, [&](int depth, nlohmann::json::parse_event_t, nlohmann::json&) {
           too_deep = too_deep || depth > kDeepestNesting;
           return !too_deep;
         });
@@ -355,7 +367,8 @@ absl::StatusOr<Scene> ParseScene(const std::string& text, const std::string& nam
   scene.seed = static_cast<std::uint64_t>(fields.Number("seed", {0.0, 9e15}, 1.0));
   scene.start_time_ns = static_cast<std::int64_t>(
       std::llround(fields.Number("start_time_s", {4000.0, 9e9}, 1.7e9) * 1e9));
-  scene.speed_of_sound_mps = fields.Number("speed_of_sound_mps", {100.0, 2000.0}, scene.speed_of_sound_mps);
+  scene.speed_of_sound_mps =
+      fields.Number("speed_of_sound_mps", {100.0, 2000.0}, scene.speed_of_sound_mps);
   scene.reverberation = ReadReverberation(fields.Object("reverberation"), scene.room_m);
 
   const auto furniture = fields.Elements("furniture", 1000);

@@ -175,35 +175,35 @@ absl::StatusOr<SimulateResult> Simulate(const std::string& scene_name, const std
     return recording::WriteMessage(writer, stream.topic, stamp_ns, stream.next, message);
   };
   std::vector<Stream> streams;
-  streams.push_back(
-      {recording::kOdometryTopic, 1.0 / scene.odometry.rate_hz,
-       [&](Stream& stream, double time_s, std::int64_t stamp_ns) {
-         const PlanarPose odom_from_base = odometry.Step(trajectory->At(time_s));
-         return write(stream, stamp_ns,
-                      recording::MakeOdometry(stamp_ns, odom_from_base.map_from_base()));
-       }});
+  streams.push_back({recording::kOdometryTopic, 1.0 / scene.odometry.rate_hz,
+                     [&](Stream& stream, double time_s, std::int64_t stamp_ns) {
+                       const PlanarPose odom_from_base = odometry.Step(trajectory->At(time_s));
+                       return write(
+                           stream, stamp_ns,
+                           recording::MakeOdometry(stamp_ns, odom_from_base.map_from_base()));
+                     }});
   streams.push_back({recording::kGroundTruthTopic, 1.0 / kGroundTruthRateHz,
                      [&](Stream& stream, double time_s, std::int64_t stamp_ns) {
                        return write(stream, stamp_ns,
                                     recording::MakePoseInFrame(
                                         stamp_ns, "map", trajectory->At(time_s).map_from_base()));
                      }});
-  streams.push_back(
-      {recording::kLaserTopic, 1.0 / scene.laser.rate_hz,
-       [&](Stream& stream, double time_s, std::int64_t stamp_ns) {
-         const double first_rad = FirstBeamAngleRad(scene.laser);
-         return write(stream, stamp_ns,
-                      recording::MakeLaserScan(
-                          stamp_ns, first_rad, -first_rad,
-                          ScanLaser(scene, rays, *trajectory, time_s, laser_engine)));
-       }});
-  streams.push_back(
-      {recording::kLidarTopic, 1.0 / scene.lidar.rate_hz,
-       [&](Stream& stream, double time_s, std::int64_t stamp_ns) {
-         const LidarScan scan = ScanLidar(scene, rays, *trajectory, time_s, lidar_engine);
-         return write(stream, stamp_ns,
-                      recording::MakePointCloud(stamp_ns, scan.point_in_lidar, scan.time_offset_ns));
-       }});
+  streams.push_back({recording::kLaserTopic, 1.0 / scene.laser.rate_hz,
+                     [&](Stream& stream, double time_s, std::int64_t stamp_ns) {
+                       const double first_rad = FirstBeamAngleRad(scene.laser);
+                       return write(stream, stamp_ns,
+                                    recording::MakeLaserScan(
+                                        stamp_ns, first_rad, -first_rad,
+                                        ScanLaser(scene, rays, *trajectory, time_s, laser_engine)));
+                     }});
+  streams.push_back({recording::kLidarTopic, 1.0 / scene.lidar.rate_hz,
+                     [&](Stream& stream, double time_s, std::int64_t stamp_ns) {
+                       const LidarScan scan =
+                           ScanLidar(scene, rays, *trajectory, time_s, lidar_engine);
+                       return write(stream, stamp_ns,
+                                    recording::MakePointCloud(stamp_ns, scan.point_in_lidar,
+                                                              scan.time_offset_ns));
+                     }});
   if (digitizer) {
     const int rate_hz = scene.audio.sample_rate_hz;
     const int chunk = std::max(1, static_cast<int>(std::lround(scene.audio.chunk_s * rate_hz)));
@@ -230,8 +230,8 @@ absl::StatusOr<SimulateResult> Simulate(const std::string& scene_name, const std
           Eigen::Isometry3d(Eigen::Translation3d(scene.array.microphone_in_array_m[m])));
   }
   ++result.messages;
-  absl::Status status = recording::WriteMessage(writer, recording::kTransformsTopic,
-                                                scene.start_time_ns, 0, mounts);
+  absl::Status status =
+      recording::WriteMessage(writer, recording::kTransformsTopic, scene.start_time_ns, 0, mounts);
 
   // In the order of time; at the same time in the order of the streams.
   double reported_s = 0.0;

@@ -11,8 +11,9 @@
 namespace soundmap::simulation {
 
 struct SimulateOptions {
-  bool mapping = false;           // drive the scene as a mapping drive: no audio, another seed, an hour earlier
-  std::optional<double> seconds;  // end the drive after so long
+  bool mapping =
+      false;  // drive the scene as a mapping drive: no audio, another seed, an hour earlier
+  std::optional<double> seconds;               // end the drive after so long
   std::function<void(double share)> progress;  // from 0 to 1, now and then
 };
 
@@ -23,12 +24,13 @@ struct SimulateResult {
   std::string truth_path;
 };
 
-// The file of a scene: `scene` itself if it is one, otherwise NAME.json among the shipped scenes, next to the program
+// The file of a scene: `scene` itself if it is one, otherwise NAME.json among the shipped scenes,
+// next to the program
 // (../share/soundmap/scenes) or in the source tree. NotFound names the shipped ones.
 absl::StatusOr<std::string> FindScene(const std::string& scene);
 
-// Drives a robot through the scene and writes the recording and, beside it, its truth (NAME.mcap, NAME.truth.json). `scene` as in FindScene.
-// The same scene gives the same bytes.
+// Drives a robot through the scene and writes the recording and, beside it, its truth (NAME.mcap,
+// NAME.truth.json). `scene` as in FindScene. The same scene gives the same bytes.
 absl::StatusOr<SimulateResult> Simulate(const std::string& scene, const std::string& out_path,
                                         const SimulateOptions& options);
 

@@ -26,8 +26,8 @@ constexpr double kHopS = 0.008;
 constexpr int kTailDirections = 128;
 constexpr int kGeneratedSamples = 4096;  // as many samples of all signals at a time
 constexpr int kLanes = 8;
-constexpr double kNearestM = 0.05;       // 1/r grows no further
-constexpr double kSwitchS = 0.01;        // a source goes on and off within
+constexpr double kNearestM = 0.05;  // 1/r grows no further
+constexpr double kSwitchS = 0.01;   // a source goes on and off within
 constexpr std::int64_t kLargestTailSamples = 1 << 18;
 constexpr double kListenerSpacingS = 0.5;
 constexpr int kMostListeners = 12;
@@ -55,7 +55,8 @@ class FftwBuffer {
   std::size_t count_;
 };
 
-// Real transform of a fixed length, forward and back. The plans are FFTW's estimates: measured ones change the last bits from run to run.
+// Real transform of a fixed length, forward and back. The plans are FFTW's estimates: measured ones
+// change the last bits from run to run.
 class RealFft {
  public:
   explicit RealFft(int length)
@@ -173,7 +174,8 @@ struct PointSignal {
   int source;
 };
 
-// A point that sounds: an emitting point or an image. `signal` counts in SoundFieldImpl::histories_.
+// A point that sounds: an emitting point or an image. `signal` counts in
+// SoundFieldImpl::histories_.
 struct Emitter {
   Eigen::Vector3d position_m;
   double gain;
@@ -187,7 +189,9 @@ struct ComplexRow {
 };
 
 // Pressure of a source's reverberation against that of an omnidirectional one.
-double RoomGain(const SourceConfig& source) { return std::pow(10.0, -source.directivity_db / 20.0); }
+double RoomGain(const SourceConfig& source) {
+  return std::pow(10.0, -source.directivity_db / 20.0);
+}
 
 double HeardGain(const SourceConfig& source, const RoomImage& image) {
   return image.order == 0 ? image.gain : image.gain * RoomGain(source);
@@ -260,17 +264,18 @@ class SoundFieldImpl final : public SoundField {
   RealFft fft_;
   const int pad_, channels_;
   ComplexRow frame_;
-  std::vector<ComplexRow> sums_;               // one a microphone
-  std::vector<std::vector<float>> overlap_;    // output that is not whole yet: from output_start_ on
+  std::vector<ComplexRow> sums_;             // one a microphone
+  std::vector<std::vector<float>> overlap_;  // output that is not whole yet: from output_start_ on
   std::vector<float> output_, window_;
   std::mt19937_64 noise_engine_;
   std::normal_distribution<float> normal_;
 
   std::vector<PointSignal> points_;
-  std::vector<History> histories_;  // point signals, then one a source (the sum of its points), then the robot's if it sounds
+  std::vector<History> histories_;  // point signals, then one a source (the sum of its points),
+                                    // then the robot's if it sounds
   std::vector<Emitter> emitters_;
   std::unique_ptr<Sound> robot_sound_;
-  std::vector<double> tail_gain_;   // one a source
+  std::vector<double> tail_gain_;  // one a source
   std::optional<TailFilter> tail_filter_;
   std::vector<Eigen::Vector3d> tail_directions_;
   std::vector<History> tail_histories_;
@@ -308,22 +313,21 @@ absl::Status SoundFieldImpl::Prepare() {
                              MakeEngine(scene_.seed, RandomStream::kSound, index));
       if (!sound.ok()) return sound.status();
       points_.push_back({*std::move(sound), source.level / std::sqrt(positions.size()), s});
-      for (const auto& image : RoomImages(scene_.room_m, scene_.reverberation, position_m,
-                                          std::min(1, scene_.reverberation.image_order),
-                                          furthest_m)) {
-        emitters_.push_back(
-            {image.position_m, HeardGain(source, image), index, image.order == 0});
+      for (const auto& image :
+           RoomImages(scene_.room_m, scene_.reverberation, position_m,
+                      std::min(1, scene_.reverberation.image_order), furthest_m)) {
+        emitters_.push_back({image.position_m, HeardGain(source, image), index, image.order == 0});
       }
     }
   }
   // Further images are far enough for a source to be one point.
   for (int s = 0; s < static_cast<int>(scene_.sources.size()); ++s) {
-    for (const auto& image : RoomImages(scene_.room_m, scene_.reverberation,
-                                        scene_.sources[s].position_m,
-                                        scene_.reverberation.image_order, furthest_m)) {
+    for (const auto& image :
+         RoomImages(scene_.room_m, scene_.reverberation, scene_.sources[s].position_m,
+                    scene_.reverberation.image_order, furthest_m)) {
       if (image.order < 2) continue;
-      emitters_.push_back(
-          {image.position_m, HeardGain(scene_.sources[s], image), static_cast<int>(points_.size()) + s, false});
+      emitters_.push_back({image.position_m, HeardGain(scene_.sources[s], image),
+                           static_cast<int>(points_.size()) + s, false});
     }
   }
   histories_.assign(points_.size() + scene_.sources.size(), History(generated_));
@@ -337,8 +341,7 @@ absl::Status SoundFieldImpl::Prepare() {
     histories_.emplace_back(generated_);
   }
 
-  const double spacing_s =
-      std::max(kListenerSpacingS, trajectory_.duration_s() / kMostListeners);
+  const double spacing_s = std::max(kListenerSpacingS, trajectory_.duration_s() / kMostListeners);
   for (double time_s = 0.0; time_s <= trajectory_.duration_s(); time_s += spacing_s) {
     listeners_m.push_back(
         (trajectory_.At(time_s).map_from_base() * scene_.array.base_from_array).translation());
@@ -369,7 +372,8 @@ void SoundFieldImpl::EstimatePeak(const std::vector<Eigen::Vector3d>& listeners_
   for (const auto& microphone_in_array_m : scene_.array.microphone_in_array_m) {
     const double distance_m =
         (scene_.array.base_from_array * microphone_in_array_m - kRobotNoiseInBase).norm();
-    robot = std::max(robot, kNoiseCrest * scene_.audio.robot_noise / std::max(distance_m, kNearestM));
+    robot =
+        std::max(robot, kNoiseCrest * scene_.audio.robot_noise / std::max(distance_m, kNearestM));
   }
   for (const auto& listener_m : listeners_m) {
     double power = noise * noise + robot * robot;
@@ -420,8 +424,8 @@ void SoundFieldImpl::Generate() {
       const auto gain = static_cast<float>(tail_gain_[s]);
       for (int i = 0; i < kGeneratedSamples; ++i) input[i] += gain * sums[s][i];
     }
-    tail_filter_->Process(
-        input, [&](int d) { return tail_histories_[d].Append(kGeneratedSamples); });
+    tail_filter_->Process(input,
+                          [&](int d) { return tail_histories_[d].Append(kGeneratedSamples); });
   }
   generated_ += kGeneratedSamples;
 }
@@ -471,13 +475,12 @@ void SoundFieldImpl::AddFrame(std::int64_t middle) {
     if (!LoadFrame(histories_[signal], middle - hop_ - whole)) return;
     for (int m = 0; m < channels_; ++m) {
       const double distance_m = (position_m - microphones_m[m]).norm();
-      AddDelayed(frame_, distance_m * samples_per_m_ - whole, gain / std::max(distance_m, kNearestM),
-                 length, sums_[m]);
+      AddDelayed(frame_, distance_m * samples_per_m_ - whole,
+                 gain / std::max(distance_m, kNearestM), length, sums_[m]);
     }
   };
   for (const auto& emitter : emitters_) {
-    const bool blocked =
-        emitter.direct && rays_.IsBlocked(emitter.position_m, array_m, people);
+    const bool blocked = emitter.direct && rays_.IsBlocked(emitter.position_m, array_m, people);
     add_point(emitter.position_m, blocked ? emitter.gain * through : emitter.gain, emitter.signal);
   }
   if (robot_sound_) {
@@ -539,9 +542,9 @@ absl::StatusOr<std::unique_ptr<SoundField>> SoundField::Create(const Scene& scen
     radius_m = std::max(radius_m, microphone_in_array_m.norm());
   }
   constexpr int kRoomForRinging = 16;
-  const int pad_samples =
-      static_cast<int>(std::ceil(radius_m * scene.audio.sample_rate_hz / scene.speed_of_sound_mps)) +
-      kRoomForRinging;
+  const int pad_samples = static_cast<int>(std::ceil(radius_m * scene.audio.sample_rate_hz /
+                                                     scene.speed_of_sound_mps)) +
+                          kRoomForRinging;
   auto field = std::make_unique<SoundFieldImpl>(scene, trajectory, pad_samples);
   if (absl::Status status = field->Prepare(); !status.ok()) return status;
   return field;

@@ -170,11 +170,15 @@ class Machine {
   Tones modulation_, rotation_;
 };
 
-// Syllables of a voiced vowel (pulses through three formants), some led in by a fricative, words with pauses between them.
+// Syllables of a voiced vowel (pulses through three formants), some led in by a fricative, words
+// with pauses between them.
 class Speech {
  public:
   Speech(double fs, Engine engine)
-      : fs_(fs), engine_(engine), noise_(Engine(engine())), tilt_(std::exp(-2.0 * kPi * 300.0 / fs), 0.0) {
+      : fs_(fs),
+        engine_(engine),
+        noise_(Engine(engine())),
+        tilt_(std::exp(-2.0 * kPi * 300.0 / fs), 0.0) {
     pitch_hz_ = Uniform(engine_, 95.0, 200.0);
   }
   double operator()() {
@@ -333,24 +337,36 @@ absl::StatusOr<std::unique_ptr<Sound>> MakeSound(const SourceConfig& source, int
   const double fs = sample_rate_hz;
   constexpr double kMeasuredS = 10.0, kMeasuredSpeechS = 40.0;
   switch (source.kind) {
-    case SoundKind::kFan: return Normalized(Fan(fs, engine), fs, kMeasuredS);
-    case SoundKind::kHiss: return Normalized(Hiss(fs, engine), fs, kMeasuredS);
-    case SoundKind::kHum: return Normalized(Hum(fs, engine), fs, kMeasuredS);
-    case SoundKind::kSpeech: return Normalized(Speech(fs, engine), fs, kMeasuredSpeechS);
-    case SoundKind::kMachine: return Normalized(Machine(fs, engine), fs, kMeasuredS);
-    case SoundKind::kWhite: return Normalized(Noise(engine), fs, kMeasuredS);
-    case SoundKind::kClick: return std::make_unique<Click>(sample_rate_hz, first_sample);
-    case SoundKind::kWav: return MakeLoop(source.wav_path, sample_rate_hz);
+    case SoundKind::kFan:
+      return Normalized(Fan(fs, engine), fs, kMeasuredS);
+    case SoundKind::kHiss:
+      return Normalized(Hiss(fs, engine), fs, kMeasuredS);
+    case SoundKind::kHum:
+      return Normalized(Hum(fs, engine), fs, kMeasuredS);
+    case SoundKind::kSpeech:
+      return Normalized(Speech(fs, engine), fs, kMeasuredSpeechS);
+    case SoundKind::kMachine:
+      return Normalized(Machine(fs, engine), fs, kMeasuredS);
+    case SoundKind::kWhite:
+      return Normalized(Noise(engine), fs, kMeasuredS);
+    case SoundKind::kClick:
+      return std::make_unique<Click>(sample_rate_hz, first_sample);
+    case SoundKind::kWav:
+      return MakeLoop(source.wav_path, sample_rate_hz);
   }
   return absl::InternalError("a sound of no known kind");
 }
 
 double CrestFactor(SoundKind kind) {
   switch (kind) {
-    case SoundKind::kSpeech: return 9.0;
-    case SoundKind::kWav: return 9.0;
-    case SoundKind::kClick: return 1.0;
-    default: return 5.5;
+    case SoundKind::kSpeech:
+      return 9.0;
+    case SoundKind::kWav:
+      return 9.0;
+    case SoundKind::kClick:
+      return 1.0;
+    default:
+      return 5.5;
   }
 }
 

@@ -7,8 +7,9 @@
 namespace soundmap::simulation {
 namespace {
 
-constexpr double kStepM = 0.01;       // spacing of the knots along the line
-constexpr double kSlowestMps = 0.01;  // at the ends: a speed of zero would never leave the first knot
+constexpr double kStepM = 0.01;  // spacing of the knots along the line
+constexpr double kSlowestMps =
+    0.01;  // at the ends: a speed of zero would never leave the first knot
 constexpr double kLongestDriveS = 86400.0;
 constexpr double kLongestPathM = 50000.0;
 
@@ -34,7 +35,8 @@ std::vector<LinePoint> SamplePolygon(const PathConfig& path) {
   return line;
 }
 
-// Average over `window` points around each; an open line's window shrinks towards its ends, which stay where they are.
+// Average over `window` points around each; an open line's window shrinks towards its ends, which
+// stay where they are.
 std::vector<LinePoint> Smooth(const std::vector<LinePoint>& line, int window, bool closed) {
   const int count = static_cast<int>(line.size());
   std::vector<LinePoint> smooth(line.size());
@@ -69,7 +71,7 @@ absl::StatusOr<Trajectory> Trajectory::Create(const PathConfig& path, double lap
       return absl::InvalidArgumentError("a path of one way point needs standing_s");
     }
     const Eigen::Vector2d position_m = path.way_points_m.front();
-    trajectory.knots_ = {{0.0, {position_m.x(), position_m.y(), path.standing_yaw_rad}}};
+    trajectory.knots_ = {{0.0, {position_m.x(), position_m.y(), path.standing_yaw_rad}, 0.0}};
     trajectory.duration_s_ = path.standing_s;
     return trajectory;
   }
@@ -85,8 +87,8 @@ absl::StatusOr<Trajectory> Trajectory::Create(const PathConfig& path, double lap
   if (line.size() < 3 || length_m < 3.0 * kStepM) {
     return absl::InvalidArgumentError("the path's way points lie on each other");
   }
-  const int window = std::min(static_cast<int>(path.turn_smoothing_m / kStepM),
-                              static_cast<int>(line.size()) / 2);
+  const int window =
+      std::min(static_cast<int>(path.turn_smoothing_m / kStepM), static_cast<int>(line.size()) / 2);
   for (int pass = 0; pass < 3; ++pass) line = Smooth(line, window, path.closed);
 
   // All laps as one open line of knots with arc lengths and headings.
@@ -103,17 +105,17 @@ absl::StatusOr<Trajectory> Trajectory::Create(const PathConfig& path, double lap
       heading_rad[i] = heading;
       continue;
     }
-    heading_rad[i] = heading_rad[i - 1] +
-                     std::remainder(heading - heading_rad[i - 1], 2.0 * std::numbers::pi);
+    heading_rad[i] =
+        heading_rad[i - 1] + std::remainder(heading - heading_rad[i - 1], 2.0 * std::numbers::pi);
     arc_m[i] = arc_m[i - 1] + (at(i).position_m - at(i - 1).position_m).norm();
   }
   for (int i = 0; i < count; ++i) {
     const int before = std::max(0, i - 1), after = std::min(count - 1, i + 1);
     const double turn_rad = std::abs(heading_rad[after] - heading_rad[before]);
     const double step_m = std::max(arc_m[after] - arc_m[before], 1e-6);
-    speed_mps[i] =
-        std::max(kSlowestMps, std::min(at(i).speed_mps,
-                                       path.max_yaw_rate_radps * step_m / std::max(turn_rad, 1e-9)));
+    speed_mps[i] = std::max(
+        kSlowestMps,
+        std::min(at(i).speed_mps, path.max_yaw_rate_radps * step_m / std::max(turn_rad, 1e-9)));
   }
   speed_mps.front() = speed_mps.back() = kSlowestMps;
   const auto reachable = [&](int from, int to) {
@@ -127,7 +129,8 @@ absl::StatusOr<Trajectory> Trajectory::Create(const PathConfig& path, double lap
   for (int i = 0; i < count; ++i) {
     if (i > 0) time_s += 2.0 * (arc_m[i] - arc_m[i - 1]) / (speed_mps[i] + speed_mps[i - 1]);
     const Eigen::Vector2d position_m = at(i).position_m;
-    trajectory.knots_.push_back({time_s, {position_m.x(), position_m.y(), heading_rad[i]}});
+    trajectory.knots_.push_back(
+        {time_s, {position_m.x(), position_m.y(), heading_rad[i]}, speed_mps[i]});
   }
   if (!(time_s <= kLongestDriveS)) return absl::InvalidArgumentError("the drive exceeds a day");
   trajectory.duration_s_ = time_s;
@@ -135,14 +138,16 @@ absl::StatusOr<Trajectory> Trajectory::Create(const PathConfig& path, double lap
 }
 
 PlanarPose Trajectory::At(double time_s) const {
-  const auto after = std::upper_bound(
-      knots_.begin(), knots_.end(), time_s,
-      [](double time, const Knot& knot) { return time < knot.time_s; });
+  const auto after =
+      std::upper_bound(knots_.begin(), knots_.end(), time_s,
+                       [](double time, const Knot& knot) { return time < knot.time_s; });
   if (after == knots_.begin()) return knots_.front().pose;
   if (after == knots_.end()) return knots_.back().pose;
   const Knot& a = *(after - 1);
   const Knot& b = *after;
-  const double share = (time_s - a.time_s) / (b.time_s - a.time_s);
+  const double part = (time_s - a.time_s) / (b.time_s - a.time_s);
+  const double share =
+      part * (2.0 * a.speed_mps + part * (b.speed_mps - a.speed_mps)) / (a.speed_mps + b.speed_mps);
   return {a.pose.x_m + share * (b.pose.x_m - a.pose.x_m),
           a.pose.y_m + share * (b.pose.y_m - a.pose.y_m),
           a.pose.yaw_rad + share * (b.pose.yaw_rad - a.pose.yaw_rad)};

@@ -17,9 +17,10 @@ struct PlanarPose {
   Eigen::Isometry3d map_from_base() const;
 };
 
-// Where the robot is at each time: the polygon through the way points with its corners rounded (moving averages along the line, so
-// that the path stays inside the polygon's hull), heading along the path, speed bounded by the way points' speeds, by the
-// acceleration and by the yaw rate. Starts and ends at rest.
+// Where the robot is at each time: the polygon through the way points with its corners rounded
+// (moving averages along the line, so that the path stays inside the polygon's hull), heading along
+// the path, speed bounded by the way points' speeds, by the acceleration and by the yaw rate.
+// Starts and ends at rest.
 class Trajectory {
  public:
   // InvalidArgument without way points, or if the drive would be endless or longer than a day.
@@ -33,6 +34,7 @@ class Trajectory {
   struct Knot {
     double time_s = 0.0;
     PlanarPose pose;
+    double speed_mps = 0.0;  // grows or falls evenly to the next knot's
   };
   Trajectory() = default;
 

@@ -28,7 +28,8 @@ absl::StatusOr<WavFile> ReadWav(const std::string& path) {
   const auto size = std::filesystem::file_size(path, error);
   std::ifstream file(path, std::ios::binary);
   if (error || !file) return absl::NotFoundError(absl::StrCat(path, ": cannot be read"));
-  if (size > kLargestFileBytes) return absl::InvalidArgumentError(absl::StrCat(path, ": is too large"));
+  if (size > kLargestFileBytes)
+    return absl::InvalidArgumentError(absl::StrCat(path, ": is too large"));
   const std::string bytes((std::istreambuf_iterator<char>(file)), std::istreambuf_iterator<char>());
   const auto invalid = [&](const char* what) {
     return absl::InvalidArgumentError(absl::StrCat(path, ": ", what));
@@ -49,7 +50,8 @@ absl::StatusOr<WavFile> ReadWav(const std::string& path) {
       bits = At<std::uint16_t>(bytes, body + 14);
       constexpr int kExtensible = 0xFFFE;
       if (format == kExtensible && available >= 26) format = At<std::uint16_t>(bytes, body + 24);
-      if (rate_hz < 1000 || rate_hz > 768000) return invalid("has a sample rate that is not supported");
+      if (rate_hz < 1000 || rate_hz > 768000)
+        return invalid("has a sample rate that is not supported");
       wav.sample_rate_hz = static_cast<int>(rate_hz);
     } else if (bytes.compare(position, 4, "data") == 0) {
       const bool pcm16 = format == 1 && bits == 16, float32 = format == 3 && bits == 32;

@@ -12,7 +12,8 @@ struct WavFile {
   std::vector<float> samples;  // first channel, full scale 1
 };
 
-// RIFF WAVE with 16 bit PCM or 32 bit float samples, at most 512 MiB. Errors are one sentence that names the file.
+// RIFF WAVE with 16 bit PCM or 32 bit float samples, at most 512 MiB. Errors are one sentence that
+// names the file.
 absl::StatusOr<WavFile> ReadWav(const std::string& path);
 
 }  // namespace soundmap::simulation

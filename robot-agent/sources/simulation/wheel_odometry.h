@@ -7,8 +7,9 @@
 
 namespace soundmap::simulation {
 
-// Dead reckoning with systematic and random errors. Starts at the origin of `odom`. The random error of a step grows with the square root of the way
-// driven, so that its spread at the end does not depend on the rate.
+// Dead reckoning with systematic and random errors. Starts at the origin of `odom`. The random
+// error of a step grows with the square root of the way driven, so that its spread at the end does
+// not depend on the rate.
 class WheelOdometry {
  public:
   WheelOdometry(const OdometryConfig& config, const PlanarPose& start, std::mt19937_64 engine)

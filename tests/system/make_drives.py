@@ -1,0 +1,47 @@
+"""Simulates the drives that the system tests replay: the grill room, shortened, and the same with one thing wrong each."""
+
+import json
+import pathlib
+import subprocess
+
+from programs import BIN, DRIVES, SOURCE
+
+SCENES = SOURCE / "robot-agent/sources/simulation/scenes"
+
+
+def simulate(scene, name, *arguments):
+    subprocess.run([BIN / "soundmap-robot", "simulate", scene, "--out", DRIVES / f"{name}.mcap", *arguments],
+                   check=True)
+
+
+def alter(name, change):
+    out = DRIVES / f"{change.replace(':', '_')}.mcap"
+    subprocess.run([BIN / "alter_drive", DRIVES / f"{name}.mcap", out, change], check=True)
+
+
+def scene_with(name, **changes):
+    """The grill room with some sections' fields changed; its path."""
+    scene = json.loads((SCENES / "grill_room.json").read_text())
+    for section, fields in changes.items():
+        scene[section].update(fields)
+    path = DRIVES / f"{name}.json"
+    path.write_text(json.dumps(scene))
+    return path
+
+
+def main():
+    DRIVES.mkdir(parents=True, exist_ok=True)
+    for old in DRIVES.iterdir():
+        old.unlink()
+    simulate("grill_room", "mapping", "--mapping")
+    simulate("grill_room", "drive", "--seconds", "25")
+    simulate("grill_room", "short", "--seconds", "8")
+    simulate(scene_with("fast_audio", audio={"sample_rate_hz": 48000}), "fast_audio", "--seconds", "6")
+    simulate(scene_with("drifting_clock", audio={"clock_drift_ppm": 50}), "drifting_clock", "--seconds", "8")
+    for change in ("no_audio", "microphones:0", "microphones:3", "nan_ranges", "invalid_lidar", "backwards",
+                   "dead_microphone"):
+        alter("short", change)
+
+
+if __name__ == "__main__":
+    main()
