@@ -8,7 +8,7 @@
 namespace soundmap::mapping {
 namespace {
 
-// A plane's means spread in two directions and hardly in the third (variances).
+// A plane's points spread in two directions and hardly in the third (variances).
 constexpr int kMinMeans = 5;
 constexpr float kMaxThicknessRatio = 0.1f;
 constexpr float kMinWidthRatio = 0.1f;
@@ -45,7 +45,9 @@ void SurfaceMap::Insert(std::span<const Eigen::Vector3f> point_in_map) {
     }
     Surfel& surfel = surfels_[entry->second];
     ++surfel.points;
-    surfel.mean += (point - surfel.mean) / static_cast<float>(surfel.points);
+    const Eigen::Vector3f from_old_mean = point - surfel.mean;
+    surfel.mean += from_old_mean / static_cast<float>(surfel.points);
+    surfel.scatter += from_old_mean * (point - surfel.mean).transpose();
     if (!is_changed_[entry->second]) {
       is_changed_[entry->second] = true;
       changed_.push_back(entry->second);
@@ -64,8 +66,7 @@ void SurfaceMap::FitPlanes() {
 void SurfaceMap::FitPlane(const geometry::VoxelKey& key, Surfel& surfel) const {
   surfel.normal.setZero();
   for (const int reach : kNeighbourhoods) {
-    // Weighted by the points: where a wall runs along a voxel's face, noise leaves a few points,
-    // all too far out, on the other side.
+    // The covariance of all points around, put together from those of the voxels.
     int means = 0;
     float weight_sum = 0.0f;
     Eigen::Vector3f sum = Eigen::Vector3f::Zero();
@@ -83,7 +84,7 @@ void SurfaceMap::FitPlane(const geometry::VoxelKey& key, Surfel& surfel) const {
           ++means;
           weight_sum += weight;
           sum += weight * arm;
-          products += weight * arm * arm.transpose();
+          products += other.scatter + weight * arm * arm.transpose();
         }
       }
     }

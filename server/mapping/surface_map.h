@@ -15,7 +15,9 @@ namespace soundmap::mapping {
 struct Surfel {
   Eigen::Vector3f mean = Eigen::Vector3f::Zero();
   std::uint32_t points = 0;
-  // The plane through the means around, if they lie on one; the normal's sign is arbitrary, zero
+  // Sum of the squared deviations from the mean.
+  Eigen::Matrix3f scatter = Eigen::Matrix3f::Zero();
+  // The plane through the points around, if they lie on one; the normal's sign is arbitrary, zero
   // means no plane.
   Eigen::Vector3f normal = Eigen::Vector3f::Zero();
   float offset_m = 0.0f;  // normal . x = offset on the plane

@@ -95,6 +95,7 @@ absl::Status Session::Recover() {
     if (!message->has_value()) break;
     auto item = Decode(**message);
     if (!item.ok()) return item.status();
+    ended_ = std::holds_alternative<End>(item->content);
     const bool had_its_effect = next_ < processed_;
     Apply(*item);
     if (had_its_effect) {

@@ -228,7 +228,7 @@ TEST(Architecture, WhatIsDeclaredIsServed) {
       const std::string name = (*s)[1];
       const std::string* header = nullptr;
       for (const auto& [file, content] : headers) {
-        if (content.find(name + "::CallbackService") != std::string::npos) header = &content;
+        if (content.find("::" + name + "::CallbackService") != std::string::npos) header = &content;
       }
       if (header == nullptr) {
         ADD_FAILURE() << entry.path() << ": no class in server/api serves " << name;

@@ -176,6 +176,16 @@ TEST(Mapper, SweptAndInstantaneousScansGiveTheSamePath) {
   EXPECT_TRUE(!result.ok() || ErrorOf(result->report.path, bent).max_m > 0.03);
 }
 
+// The map's frame is what the initial pose says, however the scans are relaxed.
+TEST(Mapper, TheFirstScanAnchorsTheMap) {
+  const DriveModel model{.duration_s = 10.0, .range_noise_m = 0.03};
+  const auto result = Map(SimulateDrive(BoxRoom::WithFurniture(), model, 1), model);
+  ASSERT_TRUE(result.ok()) << result.status();
+  EXPECT_LT(ErrorOf({result->report.path.front()}, model).max_m, 2e-4);
+  EXPECT_LT(ErrorOf({result->report.path.front()}, model).max_rad, 1e-4);
+  EXPECT_GT(ErrorOf(result->report.path, model).max_m, 5e-4);
+}
+
 TEST(Mapper, EqualDrivesGiveEqualBytes) {
   const BoxRoom room = BoxRoom::WithFurniture();
   DriveModel model = DriftingModel();

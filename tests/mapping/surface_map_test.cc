@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
@@ -52,7 +53,7 @@ TEST(SurfaceMap, ASurfelIsTheMeanOfItsPoints) {
   EXPECT_EQ(map.At({-0.1f, 0.1f, 0.1f}), nullptr);
 }
 
-TEST(SurfaceMap, PlanesAreFoundAndEdgesAreNot) {
+TEST(SurfaceMap, PlanesFollowTheWallsAndDoNotCutTheCorner) {
   // Two walls that meet at right angles at x = 0, y = 0, turned by 0.3 rad about z, with noise.
   std::mt19937 random(3);
   std::uniform_real_distribution<float> along(0.0f, 3.0f);
@@ -73,9 +74,17 @@ TEST(SurfaceMap, PlanesAreFoundAndEdgesAreNot) {
   EXPECT_NEAR(first->normal.dot(turn * Eigen::Vector3f(0, 1.5f, 1.5f)), first->offset_m, 2e-3f);
   EXPECT_NEAR(second->normal.dot(turn * Eigen::Vector3f(1.5f, 0, 1.5f)), second->offset_m, 2e-3f);
   EXPECT_NEAR(first->normal.norm(), 1.0f, 1e-5f);
-  const Surfel* edge = map.Nearest(turn * Eigen::Vector3f(0, 0, 1.5f), 0.2);
-  ASSERT_NE(edge, nullptr);
-  EXPECT_FALSE(edge->has_plane());
+  // Along the edge a plane may follow one wall, but none cuts the corner.
+  int without_plane = 0;
+  for (const Surfel& surfel : map.surfels()) {
+    without_plane += !surfel.has_plane();
+    if (!surfel.has_plane()) continue;
+    EXPECT_GT(std::max(std::abs(surfel.normal.dot(turn.col(0))),
+                       std::abs(surfel.normal.dot(turn.col(1)))),
+              0.9f)
+        << surfel.mean.transpose();
+  }
+  EXPECT_GT(without_plane, 5);
 }
 
 TEST(SurfaceMap, ALineIsNoPlane) {

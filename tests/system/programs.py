@@ -118,8 +118,8 @@ class ProgramTest(unittest.TestCase):
                 "--purpose", "mapping", "--speed", "max", f"--initial-pose={start_pose(mapping)}")
         self.ok(server, "soundmap", "map", "build", site)
 
-    def replay_arguments(self, drive, site="site", robot="robot", pose_of=None):
-        return ["replay", drive, "--site", site, "--robot", robot, "--speed", "max",
+    def replay_arguments(self, drive, site="site", robot="robot", pose_of=None, speed="max"):
+        return ["replay", drive, "--site", site, "--robot", robot, "--speed", speed,
                 f"--initial-pose={start_pose(pose_of or drive)}"]
 
     def replay(self, server, drive, site="site", robot="robot", pose_of=None):

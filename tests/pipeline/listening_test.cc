@@ -1,0 +1,186 @@
+#include "pipeline/listening.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "geometry/angles.h"
+
+namespace soundmap::pipeline {
+namespace {
+
+// A square room of 6 m with its centre at the origin of the map, a robot that drives along x, and
+// noise in its microphones.
+constexpr double kHalf_m = 3.0;
+constexpr double kSpeed_mps = 0.4;
+constexpr frames::TimeNs kStart_ns = 1'700'000'000'000'000'000;
+
+geometry::Pose2 TruePose(double time_s) { return {-1.0 + kSpeed_mps * time_s, 0.2, 0.1}; }
+
+double RangeToWall(double x_m, double y_m, double angle_rad) {
+  const double c = std::cos(angle_rad);
+  const double s = std::sin(angle_rad);
+  const double to_x = c == 0.0 ? 1e9 : (c > 0.0 ? kHalf_m - x_m : -kHalf_m - x_m) / c;
+  const double to_y = s == 0.0 ? 1e9 : (s > 0.0 ? kHalf_m - y_m : -kHalf_m - y_m) / s;
+  return std::min(to_x, to_y);
+}
+
+std::shared_ptr<const building::Building> Room() {
+  building::FloorPlan plan(130, 130, 0.05, {-3.25, -3.25});
+  for (int row = 0; row < plan.height(); ++row) {
+    for (int column = 0; column < plan.width(); ++column) {
+      const int edge = std::min({column, row, plan.width() - 1 - column, plan.height() - 1 - row});
+      plan.at(column, row) = edge < 4    ? building::Cell::kUnknown
+                             : edge == 4 ? building::Cell::kOccupied
+                                         : building::Cell::kFree;
+    }
+  }
+  return std::make_shared<const building::Building>(building::Building{nullptr, plan});
+}
+
+frames::Calibration Robot() {
+  frames::Calibration calibration;
+  calibration.base_from_array.translation().z() = 1.0;
+  calibration.base_from_lidar.translation().z() = 1.2;
+  calibration.base_from_laser.translation().z() = 0.3;
+  calibration.mic_in_array_m = {{0.1, 0, 0}, {0, 0.1, 0}, {-0.1, 0, 0.05}, {0, -0.1, 0.1}};
+  calibration.audio_sample_rate_hz = 16000;
+  return calibration;
+}
+
+std::vector<frames::Frame> Drive(double seconds) {
+  std::mt19937 random(5);
+  std::normal_distribution<double> noise(0.0, 300.0);
+  std::vector<frames::Frame> drive;
+  for (int tick = 0; tick < static_cast<int>(seconds * 20.0); ++tick) {
+    const double time_s = tick / 20.0;
+    const frames::TimeNs stamp_ns = kStart_ns + frames::NsFromSeconds(time_s);
+    const geometry::Pose2 pose = TruePose(time_s);
+    drive.push_back(frames::Odometry{stamp_ns, TruePose(0.0).Inverse() * pose});
+    if (tick % 2 == 0) {
+      frames::LaserScan scan{stamp_ns, -geometry::kPi / 2.0, geometry::kPi / 180.0, {}};
+      for (int beam = 0; beam <= 180; ++beam) {
+        const double angle_rad = pose.yaw_rad - geometry::kPi / 2.0 + beam * geometry::kPi / 180.0;
+        scan.range_m.push_back(static_cast<float>(RangeToWall(pose.x_m, pose.y_m, angle_rad)));
+      }
+      drive.push_back(scan);
+    }
+    if (tick % 10 == 0) {
+      frames::LidarScan scan;
+      scan.stamp_ns = stamp_ns;
+      for (int ring = -5; ring <= 5; ++ring) {
+        for (int step = 0; step < 360; ++step) {
+          const double angle_rad = step * geometry::kPi / 180.0;
+          const double range_m = RangeToWall(pose.x_m, pose.y_m, pose.yaw_rad + angle_rad);
+          scan.point_in_lidar.emplace_back(range_m * std::cos(angle_rad),
+                                           range_m * std::sin(angle_rad), 0.1 * ring);
+        }
+      }
+      drive.push_back(scan);
+    }
+    frames::AudioBlock block{stamp_ns, 16000, 4, {}};
+    for (int sample = 0; sample < 800 * 4; ++sample) {
+      block.samples.push_back(static_cast<std::int16_t>(noise(random)));
+    }
+    drive.push_back(block);
+  }
+  return drive;
+}
+
+class ListeningTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::get<acoustics::EqualAreaGrid>(profile_.acoustics.grid).spacing_rad =
+        geometry::RadFromDeg(15.0);
+  }
+  std::unique_ptr<Listening> Create() {
+    return Listening::Create(profile_, Robot(), Room(), TruePose(0.0), /*seed=*/1).value();
+  }
+
+  Profile profile_ = *ProfileByName("default");
+};
+
+bool SameOutput(const Listening::Output& a, const Listening::Output& b) {
+  if (a.scans.size() != b.scans.size() || a.path.size() != b.path.size()) return false;
+  for (std::size_t i = 0; i < a.scans.size(); ++i) {
+    if (!(a.scans[i].evidence == b.scans[i].evidence)) return false;
+  }
+  for (std::size_t i = 0; i < a.path.size(); ++i) {
+    if (!(a.path[i].map_from_base == b.path[i].map_from_base)) return false;
+  }
+  return true;
+}
+
+TEST_F(ListeningTest, EvidenceLiesOnTheWalls) {
+  const auto listening = Create();
+  Listening::Output output;
+  for (const frames::Frame& frame : Drive(4.0)) listening->Process(frame, output);
+  listening->Finish(output);
+  ASSERT_GT(output.scans.size(), 20u);
+  EXPECT_EQ(listening->counters().audio_scans, static_cast<std::int64_t>(output.scans.size()));
+  for (const Listening::Scan& scan : output.scans) {
+    const double time_s = frames::SecondsFromNs(scan.evidence.stamp_ns - kStart_ns);
+    const geometry::Pose2 truth = TruePose(time_s);
+    EXPECT_NEAR(scan.pose.map_from_base.x_m, truth.x_m, 0.05) << time_s;
+    EXPECT_NEAR(scan.pose.map_from_base.y_m, truth.y_m, 0.05) << time_s;
+    for (const sound_map::EndPoint& end : scan.evidence.end_points) {
+      const Eigen::Vector3d point = geometry::PointFromKey(end.key, 0.05);
+      EXPECT_NEAR(std::max(std::abs(point.x()), std::abs(point.y())), kHalf_m, 0.12);
+    }
+  }
+}
+
+TEST_F(ListeningTest, GoesOnBitForBitFromASavedState) {
+  const std::vector<frames::Frame> drive = Drive(4.0);
+  for (const std::size_t moment : {std::size_t{1}, drive.size() / 3, drive.size() - 5}) {
+    const auto first = Create();
+    Listening::Output before;
+    for (std::size_t i = 0; i < moment; ++i) first->Process(drive[i], before);
+    const std::string state = first->SaveState();
+    const auto second = Create();
+    ASSERT_TRUE(second->RestoreState(state).ok());
+    Listening::Output a;
+    Listening::Output b;
+    for (std::size_t i = moment; i < drive.size(); ++i) {
+      first->Process(drive[i], a);
+      second->Process(drive[i], b);
+    }
+    first->Finish(a);
+    second->Finish(b);
+    EXPECT_GT(a.scans.size() + a.path.size(), 0u);
+    EXPECT_TRUE(SameOutput(a, b)) << moment;
+    EXPECT_EQ(first->SaveState(), second->SaveState());
+    EXPECT_TRUE(absl::IsDataLoss(second->RestoreState(state.substr(0, state.size() / 2))));
+  }
+}
+
+TEST_F(ListeningTest, WithoutLidarThereIsNoEvidenceAndAWarning) {
+  const auto listening = Create();
+  Listening::Output output;
+  for (const frames::Frame& frame : Drive(3.0)) {
+    if (!std::holds_alternative<frames::LidarScan>(frame)) listening->Process(frame, output);
+  }
+  listening->Finish(output);
+  EXPECT_TRUE(output.scans.empty());
+  EXPECT_GT(output.path.size(), 3u);
+  const std::vector<std::string> warnings = listening->Warnings();
+  ASSERT_EQ(warnings.size(), 1u);
+  EXPECT_NE(warnings[0].find("LIDAR"), std::string::npos);
+}
+
+TEST_F(ListeningTest, OdometryThatRunsBackwardsIsCountedAndLeftOut) {
+  const auto listening = Create();
+  Listening::Output output;
+  const std::vector<frames::Frame> drive = Drive(2.0);
+  for (const frames::Frame& frame : drive) listening->Process(frame, output);
+  const std::size_t scans = output.scans.size();
+  for (const frames::Frame& frame : drive) listening->Process(frame, output);
+  listening->Finish(output);
+  EXPECT_EQ(listening->counters().backward_odometry, 40);
+  EXPECT_LE(output.scans.size(), scans + 8);  // those that waited, not the drive again
+}
+
+}  // namespace
+}  // namespace soundmap::pipeline

@@ -1,0 +1,68 @@
+#include "pipeline/records.h"
+
+#include <gtest/gtest.h>
+
+#include "pipeline/archive.h"
+
+namespace soundmap::pipeline {
+namespace {
+
+TEST(Records, ASessionIsReadBackBitForBit) {
+  SessionRecord record;
+  record.site = "hall";
+  record.session = "r-1";
+  record.robot = "robot";
+  record.purpose = Purpose::kMapping;
+  record.calibration.base_from_array.rotate(
+      Eigen::AngleAxisd(0.1234567890123, Eigen::Vector3d(1, 2, 3).normalized()));
+  record.calibration.base_from_array.translation() << 1.0 / 3.0, 1e-300, -7.7;
+  record.calibration.mic_in_array_m = {{0.1, 0.2, 1.0 / 7.0}, {0, 0, 0}};
+  record.calibration.audio_sample_rate_hz = 48000;
+  record.initial_pose = geometry::Pose2{1.0 / 3.0, -2.0, 3.0};
+  record.warnings = {"a \"quoted\" warning"};
+  record.epoch = 3;
+  record.complete = true;
+  record.frame_count = 1LL << 40;
+  record.last_frame_ns = 1'700'000'000'123'456'789;
+  const auto read = SessionRecordFromJson(ToJson(record));
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(ToJson(*read), ToJson(record));
+  EXPECT_EQ(read->calibration.base_from_array.matrix(),
+            record.calibration.base_from_array.matrix());
+  EXPECT_EQ(read->calibration.mic_in_array_m[0], record.calibration.mic_in_array_m[0]);
+  EXPECT_EQ(*read->initial_pose, *record.initial_pose);
+  EXPECT_EQ(read->frame_count, record.frame_count);
+}
+
+TEST(Records, DamageIsSaid) {
+  for (const char* text : {"", "{", "[]", "{\"site\": 5}", "null"}) {
+    EXPECT_TRUE(absl::IsDataLoss(SiteRecordFromJson(text).status())) << text;
+    EXPECT_TRUE(absl::IsDataLoss(SessionRecordFromJson(text).status())) << text;
+  }
+}
+
+TEST(Archive, AScanIsReadBackBitForBit) {
+  AudioScanInfo scan;
+  scan.robot = "robot";
+  scan.pose.map_from_base = {1.0 / 3.0, -0.0, 3.0};
+  scan.pose.covariance(1, 2) = 1e-7;
+  scan.pose.state = localization::State::kLost;
+  scan.noise_floor = 3.25;
+  scan.peaks = {{Eigen::Vector3d(0, 0, 1), 17.0}, {Eigen::Vector3d(0, 1, 0), 5.0}};
+  scan.end_points = 9;
+  const std::string bytes = EncodeAudioScan(scan);
+  const auto read = DecodeAudioScan(bytes);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_EQ(read->robot, "robot");
+  EXPECT_EQ(read->pose.map_from_base, scan.pose.map_from_base);
+  EXPECT_EQ(read->pose.covariance, scan.pose.covariance);
+  EXPECT_EQ(read->pose.state, scan.pose.state);
+  ASSERT_EQ(read->peaks.size(), 2u);
+  EXPECT_EQ(read->peaks[1].direction_in_array, scan.peaks[1].direction_in_array);
+  for (std::size_t cut = 0; cut < bytes.size(); ++cut) {
+    EXPECT_TRUE(absl::IsDataLoss(DecodeAudioScan(bytes.substr(0, cut)).status())) << cut;
+  }
+}
+
+}  // namespace
+}  // namespace soundmap::pipeline
