@@ -78,10 +78,12 @@ void AddMapCommands(CLI::App& app, CommandLine& line) {
 
   auto build = std::make_shared<BuildArguments>();
   CLI::App* command =
-      AddCommand(*map, "build", "make the geometric map from a mapping drive and put it to use");
+      AddCommand(*map, "build", "make the geometric map from mapping drives and put it to use");
   command->add_option("SITE", build->request.site, "id of the site")->required();
-  command->add_option("--from-session", build->request.session,
-                      "mapping session; without it the newest");
+  command->add_option("--from-session", build->request.sessions,
+                      "mapping session, may be repeated; without it all of the site");
+  command->add_flag("--extend", build->request.extend,
+                    "keep the present map and its frame, and add the drives that are not in it");
   command->add_option("--poses", build->poses,
                       "surveyed poses instead of registration: timestamp_s,x,y,yaw or TUM");
   AddFormat(*command, build->format, {"table", "json"});

@@ -55,8 +55,10 @@ absl::StatusOr<Site> Client::CreateSite(const std::string& site, const std::stri
   request.set_site_id(site);
   request.set_profile(profile);
   request.set_request_id(RequestId());
-  const auto response = connection_->Call<v1::Site>(Connection::Repeat::kNever, *connection_->sites,
-                                                    &v1::SiteService::Stub::CreateSite, request);
+  // The request id makes a repetition harmless.
+  const auto response =
+      connection_->Call<v1::Site>(Connection::Repeat::kOnUnavailable, *connection_->sites,
+                                  &v1::SiteService::Stub::CreateSite, request);
   if (!response.ok()) return response.status();
   return FromProto(*response);
 }
@@ -90,7 +92,6 @@ absl::StatusOr<std::vector<Site>> Client::ListSites() {
 absl::Status Client::DeleteSite(const std::string& site) {
   v1::DeleteSiteRequest request;
   request.set_name(internal::SiteName(site));
-  request.set_request_id(RequestId());
   return connection_
       ->Call<v1::DeleteSiteResponse>(Connection::Repeat::kNever, *connection_->sites,
                                      &v1::SiteService::Stub::DeleteSite, request)
@@ -101,9 +102,10 @@ absl::StatusOr<Operation> Client::BuildMap(const BuildMapRequest& request,
                                            const ProgressCallback& progress) {
   v1::BuildMapRequest wire;
   wire.set_site(internal::SiteName(request.site));
-  if (!request.session.empty()) {
-    wire.set_session(internal::SessionName(request.site, request.session));
+  for (const std::string& session : request.sessions) {
+    wire.add_sessions(internal::SessionName(request.site, session));
   }
+  wire.set_extend(request.extend);
   for (const StampedPose& pose : request.surveyed_poses) {
     auto& surveyed = *wire.add_surveyed_poses();
     surveyed.set_time_ns(pose.time_ns);

@@ -191,6 +191,7 @@ absl::StatusOr<Export> ExportMapFiles(pipeline::Site& site, const v1::ExportMapR
     const sound_map::Snapshot nothing(map->voxel_size_m(), 0, std::nullopt, {});
     sound_map::PlanViewOptions options;
     options.title = absl::StrCat("Floor plan of ", site_name);
+    options.floor_plan_only = true;
     auto bytes = sound_map::RenderPlanView(nothing, PlanOf(site), {}, options);
     if (!bytes.ok()) return bytes.status();
     result.files.push_back({suffix, *std::move(bytes)});

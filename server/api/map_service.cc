@@ -23,27 +23,26 @@ grpc::ServerUnaryReactor* MapService::BuildMap(grpc::CallbackServerContext* cont
   const auto site = FindSite(*sites_, request->site());
   if (!site.ok()) return Finish(context, site.status());
   const std::string site_name = (*site)->record().site;
-  std::string session;
-  if (!request->session().empty()) {
-    const auto name = ParseSession(request->session());
+  pipeline::MapRequest map_request;
+  map_request.extend = request->extend();
+  for (const std::string& session : request->sessions()) {
+    const auto name = ParseSession(session);
     if (!name.ok()) return Finish(context, name.status());
     if (name->site != site_name) {
-      return Finish(
-          context, absl::InvalidArgumentError(absl::StrCat(
-                       "session '", request->session(), "' is not one of site '", site_name, "'")));
+      return Finish(context, absl::InvalidArgumentError(absl::StrCat(
+                                 "session '", session, "' is not one of site '", site_name, "'")));
     }
-    session = name->session;
+    map_request.sessions.push_back(name->session);
   }
-  std::vector<mapping::StampedPose> surveyed;
   for (const v1::SurveyedPose& proto : request->surveyed_poses()) {
     const auto pose = FromProto(proto.map_from_base());
     if (!pose.ok()) return Finish(context, pose.status());
-    surveyed.push_back({proto.time_ns(), *pose});
+    map_request.surveyed_poses.push_back({proto.time_ns(), *pose});
   }
   const auto operation = operations_->Start(
       "build_map", site_name, request->request_id(),
-      [site = *site, session, surveyed](pipeline::OperationContext& operation_context) {
-        return site->BuildMap(session, surveyed, operation_context);
+      [site = *site, map_request](pipeline::OperationContext& operation_context) {
+        return site->BuildMap(map_request, operation_context);
       });
   if (!operation.ok()) return Finish(context, operation.status());
   *response = ToProto(*operation);
@@ -102,7 +101,7 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
          picture = std::move(picture)](pipeline::OperationContext&) -> absl::StatusOr<std::string> {
           auto building = building::ImportBuilding(format, data, picture, site->profile().import);
           if (!building.ok()) return building.status();
-          const absl::Status activated = site->ActivateBuilding(*std::move(building));
+          const absl::Status activated = site->ActivateBuilding(*std::move(building), {});
           if (!activated.ok()) return activated;
           return std::string("{}");
         });

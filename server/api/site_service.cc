@@ -10,7 +10,7 @@ namespace soundmap::api {
 grpc::ServerUnaryReactor* SiteService::CreateSite(grpc::CallbackServerContext* context,
                                                   const v1::CreateSiteRequest* request,
                                                   v1::Site* response) {
-  const auto site = sites_->Create(request->site_id(), request->profile());
+  const auto site = sites_->Create(request->site_id(), request->profile(), request->request_id());
   if (!site.ok()) return Finish(context, site.status());
   *response = ToProto(**site);
   return Finish(context, absl::OkStatus());

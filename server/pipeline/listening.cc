@@ -4,9 +4,11 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <type_traits>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "pipeline/serialization.h"
 
 namespace boost::serialization {
@@ -32,9 +34,36 @@ void serialize(Archive& archive, soundmap::localization::Correction& correction,
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::localization::Beam& beam, unsigned) {
+  archive& beam.origin_in_base_m& beam.direction_in_base& beam.range_m;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::KeptScan& scan, unsigned) {
+  archive& scan.stamp_ns& scan.odom_from_base& scan.beams& scan.jumped;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::Hypothesis& hypothesis, unsigned) {
+  archive& hypothesis.particles& hypothesis.evidence& hypothesis.fit& hypothesis.weight;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::Health& health, unsigned) {
+  archive& health.mean_fit& health.slow_fit& health.misfit_m& health.misfit;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::localization::LookBack& look_back, unsigned) {
+  archive& look_back.particles& look_back.at_ns& look_back.health& look_back.found;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::localization::Counters& counters, unsigned) {
   archive& counters.corrections& counters.resamplings& counters.scans_ignored& counters
-      .scans_overflowed& counters.scans_empty& counters.odometry_ignored& counters.odometry_jumps;
+      .scans_overflowed& counters.scans_empty& counters.odometry_ignored& counters
+      .odometry_jumps& counters.searches& counters.losses& counters.recoveries& counters
+      .scans_given_up;
 }
 
 // Boost.Serialization of this version knows boost::optional only.
@@ -54,15 +83,17 @@ template <class Archive>
 void serialize(Archive& archive, soundmap::localization::LocalizerState& state, unsigned) {
   archive& state.particles& state.engine& state.odometry& state.raw_odometry& state
       .waiting_scans& state.corrections& state.newest_scan_ns& state.considered_until_ns& state
-      .odom_from_particles& state.mean_fit& state.misfit_m& state.misfit& state.travelled_m& state
-      .jumped& state.counters;
+      .odom_from_particles& state.mean_fit& state.slow_fit& state.misfit_m& state.misfit& state
+      .travelled_m& state.jumped& state.counters& state.odometry_limit& state.keep_from_ns& state
+      .lost_since_ns& state.searching& state.search_from_ns& state.sectors_searched& state
+      .unrivalled& state.since_sector_m& state.hypotheses& state.kept_scans& state.look_back;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::pipeline::Listening::Counters& counters, unsigned) {
   archive& counters.audio_scans& counters.backward_odometry& counters.backward_lidar& counters
       .faulty_audio_scans& counters.refused_audio& counters.scans_without_range& counters
-      .scans_without_pose;
+      .scans_without_pose& counters.unheard_ns;
 }
 
 }  // namespace boost::serialization
@@ -74,6 +105,9 @@ namespace {
 // without.
 constexpr std::size_t kMaxLidarScans = 64;
 constexpr std::size_t kMaxPendingScans = 64;
+
+// A new audio scan is not older than this when it comes.
+constexpr frames::TimeNs kNewScanAge_ns = 5'000'000'000;
 
 frames::TimeNs MiddleOf(const frames::LidarScan& scan) {
   if (scan.time_offset_ns.empty()) return scan.stamp_ns;
@@ -94,6 +128,7 @@ struct Listening::State {
   frames::OdometryTrack track;
   std::deque<frames::LidarScan> lidar_scans;            // oldest first
   std::deque<acoustics::LikelihoodScan> pending_scans;  // oldest first
+  std::int64_t heard = 0;                               // frames
   Counters counters;
 
   // Section V's points of the LIDAR scan that the last audio scan used.
@@ -101,13 +136,18 @@ struct Listening::State {
   frames::TimeNs view_reference_ns = 0;
   std::vector<Eigen::Vector3f> view_point_in_base;
 
-  void Add(const frames::Odometry& odometry, Output& output);
-  void Add(const frames::LaserScan& scan, Output& output);
-  void Add(const frames::LidarScan& scan, Output& output);
-  void Add(const frames::AudioBlock& block, Output& output);
+  template <typename SensorFrame>
+  void Localize(const SensorFrame& frame, Output& output);
 
-  // Whether nothing that may still come changes what the scan is given.
+  void Hear(const frames::Odometry& odometry);
+  void Hear(const frames::LaserScan&) {}
+  void Hear(const frames::LidarScan& scan);
+  void Hear(const frames::AudioBlock& block);
+
+  // Whether nothing that may still be heard changes what the scan is given.
   bool IsReady(const acoustics::LikelihoodScan& scan) const;
+  // Whether the robot may learn where it was then.
+  bool Waits(const acoustics::LikelihoodScan& scan) const;
   void Drain(bool all, Output& output);
   void Fuse(acoustics::LikelihoodScan scan, Output& output);
   bool View(frames::TimeNs time_ns);
@@ -118,14 +158,13 @@ Listening::~Listening() = default;
 
 absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
     const Profile& profile, const frames::Calibration& calibration,
-    std::shared_ptr<const building::Building> building, const geometry::Pose2& initial_pose,
-    std::uint64_t seed) {
-  auto plan = localization::PreparedPlan::Create(profile.localization, building->floor_plan);
-  if (!plan.ok()) return plan.status();
-  auto localizer = localization::Localizer::Create(*plan, calibration,
-                                                   localization::InitialPose{initial_pose}, seed);
+    std::shared_ptr<const localization::PreparedPlan> plan,
+    const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed) {
+  std::optional<localization::InitialPose> start;
+  if (initial_pose) start = localization::InitialPose{*initial_pose};
+  auto localizer = localization::Localizer::Create(plan, calibration, start, seed);
   if (!localizer.ok()) return localizer.status();
-  std::unique_ptr<State> state(new State{profile, calibration, *std::move(plan),
+  std::unique_ptr<State> state(new State{profile, calibration, std::move(plan),
                                          *std::move(localizer), nullptr, std::nullopt,
                                          frames::OdometryTrack()});
   if (!calibration.mic_in_array_m.empty() && calibration.audio_sample_rate_hz != 0) {
@@ -140,26 +179,51 @@ absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
   return std::unique_ptr<Listening>(new Listening(std::move(state)));
 }
 
-void Listening::Process(const frames::Frame& frame, Output& output) {
-  std::visit([&](const auto& sensor_frame) { state_->Add(sensor_frame, output); }, frame);
+void Listening::Localize(const frames::Frame& frame, Output& output) {
+  std::visit([&](const auto& sensor_frame) { state_->Localize(sensor_frame, output); }, frame);
+}
+
+void Listening::Hear(const frames::Frame& frame, Output& output) {
+  std::visit([&](const auto& sensor_frame) { state_->Hear(sensor_frame); }, frame);
+  ++state_->heard;
   state_->Drain(/*all=*/false, output);
 }
 
-void Listening::Finish(Output& output) { state_->Drain(/*all=*/true, output); }
+bool Listening::waits() const {
+  return !state_->pending_scans.empty() && state_->Waits(state_->pending_scans.front());
+}
+
+std::int64_t Listening::heard() const { return state_->heard; }
+
+void Listening::Finish(Output& output) {
+  if (waits()) {
+    state_->counters.unheard_ns =
+        state_->localizer.newest_odometry_ns().value_or(0) - state_->pending_scans.front().begin_ns;
+  }
+  state_->Drain(/*all=*/true, output);
+}
 
 const Listening::Counters& Listening::counters() const { return state_->counters; }
 
-void Listening::State::Add(const frames::Odometry& odometry, Output& output) {
+template <typename SensorFrame>
+void Listening::State::Localize(const SensorFrame& frame, Output& output) {
+  if constexpr (std::is_same_v<SensorFrame, frames::Odometry> ||
+                std::is_same_v<SensorFrame, frames::LaserScan>) {
+    const std::optional<frames::TimeNs> lost_since_ns = localizer.lost_since_ns();
+    const std::vector<localization::PoseEstimate> corrections = localizer.Add(frame);
+    if (lost_since_ns && localizer.lost_since_ns() != lost_since_ns) {
+      // Found: where it was meanwhile, instead of the guesses.
+      output.path = localizer.Path(*lost_since_ns, frame.stamp_ns);
+    }
+    output.path.insert(output.path.end(), corrections.begin(), corrections.end());
+  }
+}
+
+void Listening::State::Hear(const frames::Odometry& odometry) {
   if (!track.Add(odometry)) ++counters.backward_odometry;
-  for (const localization::PoseEstimate& pose : localizer.Add(odometry))
-    output.path.push_back(pose);
 }
 
-void Listening::State::Add(const frames::LaserScan& scan, Output& output) {
-  for (const localization::PoseEstimate& pose : localizer.Add(scan)) output.path.push_back(pose);
-}
-
-void Listening::State::Add(const frames::LidarScan& scan, Output&) {
+void Listening::State::Hear(const frames::LidarScan& scan) {
   if (!caster) return;
   if (!lidar_scans.empty() && scan.stamp_ns <= lidar_scans.back().stamp_ns) {
     ++counters.backward_lidar;
@@ -177,7 +241,7 @@ void Listening::State::Add(const frames::LidarScan& scan, Output&) {
   }
 }
 
-void Listening::State::Add(const frames::AudioBlock& block, Output&) {
+void Listening::State::Hear(const frames::AudioBlock& block) {
   if (!scanner) {
     ++counters.refused_audio;
     return;
@@ -207,12 +271,35 @@ bool Listening::State::IsReady(const acoustics::LikelihoodScan& scan) const {
   return lidar_known || now_ns >= mid_ns + frames::NsFromSeconds(profile.fusion.lidar_wait_s);
 }
 
+bool Listening::State::Waits(const acoustics::LikelihoodScan& scan) const {
+  if (!IsReady(scan)) return false;
+  const frames::TimeNs mid_ns = scan.mid_ns();
+  const std::optional<frames::TimeNs> lost_since_ns = localizer.lost_since_ns();
+  if (lost_since_ns && mid_ns >= *lost_since_ns) return true;
+  // A robot in doubt either knows again soon, or finds that it has been lost.
+  const std::optional<frames::TimeNs> now_ns = localizer.newest_odometry_ns();
+  if (!now_ns || *now_ns - mid_ns > frames::NsFromSeconds(profile.fusion.doubt_wait_s)) {
+    return false;
+  }
+  const auto in_doubt = [this](frames::TimeNs time_ns) {
+    const auto pose = localizer.At(time_ns);
+    return pose && pose->state == localization::State::kUncertain;
+  };
+  return in_doubt(mid_ns) && in_doubt(*now_ns);
+}
+
 void Listening::State::Drain(bool all, Output& output) {
   while (!pending_scans.empty() &&
          (all || pending_scans.size() > kMaxPendingScans || IsReady(pending_scans.front()))) {
+    if (!all && Waits(pending_scans.front())) break;
     acoustics::LikelihoodScan scan = std::move(pending_scans.front());
     pending_scans.pop_front();
     Fuse(std::move(scan), output);
+  }
+  if (!pending_scans.empty()) {
+    localizer.KeepFrom(pending_scans.front().mid_ns());
+  } else if (!track.empty()) {
+    localizer.KeepFrom(track.newest_ns() - kNewScanAge_ns);
   }
 }
 
@@ -293,6 +380,11 @@ std::vector<std::string> Listening::Warnings() const {
   for (const auto& [count, sentence] : sentences) {
     if (count > 0) warnings.push_back(absl::StrCat(count, sentence));
   }
+  if (counters.unheard_ns > 0) {
+    warnings.push_back(absl::StrFormat(
+        "the last %.0f s of sound were left out: the robot did not learn where it was",
+        frames::SecondsFromNs(counters.unheard_ns)));
+  }
   if (localization.corrections == 0) {
     warnings.push_back("the robot was never localized: no usable laser scan");
   }
@@ -305,7 +397,7 @@ std::string Listening::SaveState() const {
                                             state.track.entries().end());
   return ToBytes(state.localizer.state(),
                  state.scanner ? state.scanner->state() : acoustics::AudioScanner::State{}, track,
-                 state.lidar_scans, state.pending_scans, state.counters);
+                 state.lidar_scans, state.pending_scans, state.heard, state.counters);
 }
 
 absl::Status Listening::RestoreState(const std::string& bytes) {
@@ -314,9 +406,10 @@ absl::Status Listening::RestoreState(const std::string& bytes) {
   std::vector<frames::Odometry> track;
   std::deque<frames::LidarScan> lidar_scans;
   std::deque<acoustics::LikelihoodScan> pending_scans;
+  std::int64_t heard = 0;
   Counters counters;
-  const absl::Status read =
-      FromBytes(bytes, localizer_state, scanner_state, track, lidar_scans, pending_scans, counters);
+  const absl::Status read = FromBytes(bytes, localizer_state, scanner_state, track, lidar_scans,
+                                      pending_scans, heard, counters);
   if (!read.ok()) return read;
   State& state = *state_;
   auto localizer = localization::Localizer::Restore(state.plan, state.calibration, localizer_state);
@@ -330,6 +423,7 @@ absl::Status Listening::RestoreState(const std::string& bytes) {
   for (const frames::Odometry& odometry : track) state.track.Add(odometry);
   state.lidar_scans = std::move(lidar_scans);
   state.pending_scans = std::move(pending_scans);
+  state.heard = heard;
   state.counters = counters;
   state.view_stamp_ns.reset();
   return absl::OkStatus();

@@ -2,12 +2,12 @@
 
 #include <deque>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "acoustics/audio_scanner.h"
-#include "building/building.h"
 #include "frames/odometry_track.h"
 #include "localization/localizer.h"
 #include "pipeline/profile.h"
@@ -17,7 +17,10 @@
 namespace soundmap::pipeline {
 
 // One robot's drive, from frames to evidence: localization and acoustics side by side, which meet
-// in ray casting. A deterministic function of the frames in their order. Strand-owned.
+// in ray casting. Each frame is given to Localize() and then to Hear(). While the robot does not
+// know where it is, hearing waits: the frames from then on are given to Hear() once it knows where
+// it was, in their order and before the next Localize(). A deterministic function of the frames.
+// Strand-owned.
 class Listening {
  public:
   // One audio scan that says something about the map.
@@ -39,20 +42,28 @@ class Listening {
         0;  // stamps that ran backwards, or numbers that are not finite
     std::int64_t faulty_audio_scans = 0;   // a dead microphone, lost samples
     std::int64_t scans_without_range = 0;  // no LIDAR scan was near in time, or none at all
-    std::int64_t scans_without_pose = 0;   // the robot was lost or unknown
+    std::int64_t scans_without_pose = 0;   // the robot was lost, and never learnt where it was
     std::int64_t refused_audio = 0;        // blocks that do not fit the ones before
     std::int64_t backward_lidar = 0;
+    frames::TimeNs unheard_ns = 0;  // at the end of the drive, since the robot was lost
   };
 
   // `profile` must outlive this.
+  // Without an initial pose the robot may stand anywhere in the building.
   static absl::StatusOr<std::unique_ptr<Listening>> Create(
       const Profile& profile, const frames::Calibration& calibration,
-      std::shared_ptr<const building::Building> building, const geometry::Pose2& initial_pose,
-      std::uint64_t seed);
+      std::shared_ptr<const localization::PreparedPlan> plan,
+      const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed);
   ~Listening();
 
-  void Process(const frames::Frame& frame, Output& output);
-  // The drive is over: scans that wait for later frames do without them.
+  void Localize(const frames::Frame& frame, Output& output);
+  void Hear(const frames::Frame& frame, Output& output);
+  // Whether the next frame to hear must wait until the robot knows where it was.
+  bool waits() const;
+  // The frames that Hear() was given since the start of the drive.
+  std::int64_t heard() const;
+  // The drive is over: what waits for later frames does without them, what waits for the robot to
+  // know where it was is left out.
   void Finish(Output& output);
 
   const Counters& counters() const;

@@ -260,9 +260,47 @@ void VisitLocalization(Visitor& v, localization::Config& c) {
   v("lost_fit", c.health.lost_fit);
   v("tracking_position_std_m", c.health.tracking_position_std_m);
   v.Angle("tracking_yaw_std_deg", c.health.tracking_yaw_std_rad);
+  v("slow_memory", c.health.slow_memory);
+  v("lost_misfit_m", c.health.lost_misfit_m);
   v("lost_position_std_m", c.health.lost_position_std_m);
   v("tracking_travel_m", c.health.tracking_travel_m);
   v("lost_travel_m", c.health.lost_travel_m);
+  v.Section("search");
+  v("enabled", c.search.enabled);
+  v("cell_m", c.search.cell_m);
+  v("field_std_m", c.search.field_std_m);
+  v.Angle("yaw_step_deg", c.search.yaw_step_rad);
+  v("max_range_m", c.search.max_range_m);
+  v("sectors", c.search.sectors);
+  v("max_points", c.search.max_points);
+  v("max_evaluations", c.search.max_evaluations);
+  v("max_candidates", c.search.max_candidates);
+  v("min_score", c.search.min_score);
+  v("window_m", c.search.window_m);
+  v("window_step_m", c.search.window_step_m);
+  v("apart_m", c.search.apart_m);
+  v.Angle("apart_deg", c.search.apart_rad);
+  v("scatter_m", c.search.scatter_m);
+  v.Angle("scatter_deg", c.search.scatter_rad);
+  v("hypothesis_particles", c.search.hypothesis_particles);
+  v("max_hypotheses", c.search.max_hypotheses);
+  v("evidence_travel_m", c.search.evidence_travel_m);
+  v("min_lead", c.search.min_lead);
+  v("min_lead_m", c.search.min_lead_m);
+  v("carried_lead_m", c.search.carried_lead_m);
+  v("give_up_margin", c.search.give_up_margin);
+  v("min_fit", c.search.min_fit);
+  v("min_travel_m", c.search.min_travel_m);
+  v("max_kept_scans", c.search.max_kept_scans);
+  v("look_back_scans", c.search.look_back_scans);
+  v.Section("adaptive_particles");
+  v("enabled", c.adaptive.enabled);
+  v("min_particles", c.adaptive.min_particles);
+  v("max_particles", c.adaptive.max_particles);
+  v("bin_m", c.adaptive.bin_m);
+  v.Angle("bin_deg", c.adaptive.bin_rad);
+  v("max_divergence", c.adaptive.max_divergence);
+  v("quantile", c.adaptive.quantile);
 }
 
 template <typename Visitor>
@@ -291,6 +329,38 @@ void VisitSoundMap(Visitor& v, sound_map::SoundMapConfig& c) {
 }
 
 template <typename Visitor>
+void VisitOccupancy(Visitor& v, mapping::OccupancyConfig& c) {
+  v("hit_log_odds", c.hit_log_odds);
+  v("miss_log_odds", c.miss_log_odds);
+  v("min_log_odds", c.min_log_odds);
+  v("max_log_odds", c.max_log_odds);
+  v("max_blocks", c.max_blocks);
+}
+
+template <typename Visitor>
+void VisitFloorPlanMapping(Visitor& v, mapping::FloorPlanMapperConfig& c) {
+  v.Section("floor_plan_mapping");
+  v("cell_size_m", c.cell_size_m);
+  v("min_range_m", c.min_range_m);
+  v("max_range_m", c.max_range_m);
+  v("laser_lag_s", c.laser_lag_s);
+  v("key_scan_distance_m", c.key_scan_distance_m);
+  v.Angle("key_scan_angle_deg", c.key_scan_angle_rad);
+  v("key_scans_per_place", c.key_scans_per_place);
+  v("wall_piece_m", c.wall_piece_m);
+  v("local_map_m", c.local_map_m);
+  v("stretch_m", c.stretch_m);
+  v("loop_search_m", c.loop_search_m);
+  v("loop_search_per_m", c.loop_search_per_m);
+  v("max_loop_search_m", c.max_loop_search_m);
+  v("relaxation_passes", c.relaxation_passes);
+  v("max_speed_mps", c.max_speed_mps);
+  v("max_turn_rate_radps", c.max_turn_rate_radps);
+  v.Section("floor_plan_occupancy");
+  VisitOccupancy(v, c.occupancy);
+}
+
+template <typename Visitor>
 void VisitMapping(Visitor& v, mapping::MapperConfig& c, building::PointCloudConfig& import) {
   v.Section("mapping");
   v("voxel_size_m", c.voxel_size_m);
@@ -307,11 +377,7 @@ void VisitMapping(Visitor& v, mapping::MapperConfig& c, building::PointCloudConf
   v("max_speed_mps", c.max_speed_mps);
   v("max_turn_rate_radps", c.max_turn_rate_radps);
   v.Section("occupancy");
-  v("hit_log_odds", c.occupancy.hit_log_odds);
-  v("miss_log_odds", c.occupancy.miss_log_odds);
-  v("min_log_odds", c.occupancy.min_log_odds);
-  v("max_log_odds", c.occupancy.max_log_odds);
-  v("max_blocks", c.occupancy.max_blocks);
+  VisitOccupancy(v, c.occupancy);
   v.Section("import");
   v("voxel_size_m", import.voxel_size_m);
   v("floor_height_m", import.floor_height_m);
@@ -336,7 +402,9 @@ void Visit(Visitor& v, Profile& profile) {
   v.Section("fusion");
   v("pose_wait_s", profile.fusion.pose_wait_s);
   v("lidar_wait_s", profile.fusion.lidar_wait_s);
+  v("doubt_wait_s", profile.fusion.doubt_wait_s);
   VisitMapping(v, profile.mapping, profile.import);
+  VisitFloorPlanMapping(v, profile.floor_plan_mapping);
 }
 
 }  // namespace
@@ -344,7 +412,7 @@ void Visit(Visitor& v, Profile& profile) {
 absl::Status Profile::Validate() const {
   for (const absl::Status& status :
        {acoustics.Validate(), localization.Validate(), ray_casting.Validate(), sound_map.Validate(),
-        mapping.Validate(), import.Validate()}) {
+        mapping.Validate(), floor_plan_mapping.Validate(), import.Validate()}) {
     if (!status.ok()) return status;
   }
   if (ray_casting.voxel_size_m != sound_map.voxel_size_m) {
@@ -355,6 +423,9 @@ absl::Status Profile::Validate() const {
       !(fusion.lidar_wait_s >= 0.0 && fusion.lidar_wait_s <= 10.0)) {
     return absl::InvalidArgumentError(
         "fusion.pose_wait_s and fusion.lidar_wait_s must be from 0 to 10 seconds");
+  }
+  if (!(fusion.doubt_wait_s >= 0.0 && fusion.doubt_wait_s <= 600.0)) {
+    return absl::InvalidArgumentError("fusion.doubt_wait_s must be from 0 to 600 seconds");
   }
   return absl::OkStatus();
 }

@@ -6,6 +6,7 @@
 #include "acoustics/config.h"
 #include "building/point_cloud.h"
 #include "localization/config.h"
+#include "mapping/floor_plan_mapper.h"
 #include "mapping/mapper.h"
 #include "ray_casting/ray_caster.h"
 #include "sound_map/config.h"
@@ -16,6 +17,8 @@ namespace soundmap::pipeline {
 struct FusionConfig {
   double pose_wait_s = 0.3;   // an audio scan waits this long for the correction after it
   double lidar_wait_s = 1.0;  // and this long, at most, for the LIDAR scan after it
+  // And this long for an uncertain robot to know where it is, or that it is lost.
+  double doubt_wait_s = 30.0;
 };
 
 // The parameters of every stage. Two named sets: `paper` is the paper as printed, `default` the
@@ -28,6 +31,7 @@ struct Profile {
   sound_map::SoundMapConfig sound_map;
   FusionConfig fusion;
   mapping::MapperConfig mapping;
+  mapping::FloorPlanMapperConfig floor_plan_mapping;  // of drives without a LIDAR
   building::PointCloudConfig import;  // of point clouds, and the slice of imported octrees
 
   absl::Status Validate() const;

@@ -75,7 +75,9 @@ std::string ToJson(const SiteRecord& record) {
               {"profile", record.profile},
               {"parameters_toml", record.parameters_toml},
               {"create_time_ns", record.create_time_ns},
-              {"building_version", record.building_version}}
+              {"building_version", record.building_version},
+              {"building_sessions", record.building_sessions},
+              {"create_request_id", record.create_request_id}}
       .dump();
 }
 
@@ -104,8 +106,15 @@ std::string ToJson(const SessionRecord& record) {
 
 absl::StatusOr<SiteRecord> SiteRecordFromJson(const std::string& text) {
   return Read<SiteRecord>(text, "site", [](const Json& json) {
-    return SiteRecord{json.at("site"), json.at("profile"), json.at("parameters_toml"),
-                      json.at("create_time_ns"), json.at("building_version")};
+    SiteRecord record;
+    record.site = json.at("site");
+    record.profile = json.at("profile");
+    record.parameters_toml = json.at("parameters_toml");
+    record.create_time_ns = json.at("create_time_ns");
+    record.building_version = json.at("building_version");
+    record.building_sessions = json.value("building_sessions", std::vector<std::string>{});
+    record.create_request_id = json.value("create_request_id", "");
+    return record;
   });
 }
 

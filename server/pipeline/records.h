@@ -18,7 +18,9 @@ struct SiteRecord {
   // read again gives the same map.
   std::string parameters_toml;
   std::int64_t create_time_ns = 0;
-  std::int64_t building_version = 0;  // 0: no geometric map yet
+  std::int64_t building_version = 0;           // 0: no geometric map yet
+  std::vector<std::string> building_sessions;  // the drives that it was made from
+  std::string create_request_id;               // empty: the client gave none
 };
 
 enum class Purpose { kListening, kMapping };

@@ -64,11 +64,14 @@ absl::Status Session::Recover() {
   received_ = durable_ = log_->durable();
   const auto processed = site_.store->ProcessedOffset(id());
   if (!processed.ok()) return processed.status();
-  processed_ = *processed;
+  processed_ = stored_poses_ = *processed;
+  const auto heard = site_.store->HeardOffset(id());
+  if (!heard.ok()) return heard.status();
+  stored_evidence_ = *heard;
 
   if (record_.purpose == Purpose::kListening) {
-    auto listening = Listening::Create(*site_.profile, record_.calibration, site_.building,
-                                       *record_.initial_pose, storage::Crc32c(record_.session));
+    auto listening = Listening::Create(*site_.profile, record_.calibration, site_.plan,
+                                       record_.initial_pose, storage::Crc32c(record_.session));
     if (!listening.ok()) return listening.status();
     listening_ = *std::move(listening);
     const auto state = site_.store->LatestState(id());
@@ -77,6 +80,7 @@ absl::Status Session::Recover() {
       const absl::Status restored = listening_->RestoreState((*state)->state);
       if (!restored.ok()) return restored;
       next_ = (*state)->offset;
+      heard_ = listening_->heard();
     }
   }
   if (durable_ == 0) return absl::OkStatus();
@@ -89,23 +93,24 @@ absl::Status Session::Recover() {
 
   auto reader = log_->Read(next_);
   if (!reader.ok()) return reader.status();
-  while (next_ < durable_) {
-    auto message = (*reader)->Next();
-    if (!message.ok()) return message.status();
-    if (!message->has_value()) break;
-    auto item = Decode(**message);
-    if (!item.ok()) return item.status();
-    ended_ = std::holds_alternative<End>(item->content);
-    const bool had_its_effect = next_ < processed_;
-    Apply(*item);
-    if (had_its_effect) {
-      commit_.journal.clear();
-      commit_.trajectory.clear();
+  while (next_ < durable_ || IsBehind()) {
+    if (IsBehind()) {
+      const absl::Status caught_up = CatchUp();
+      if (!caught_up.ok()) return caught_up;
+    } else {
+      auto message = (*reader)->Next();
+      if (!message.ok()) return message.status();
+      if (!message->has_value()) break;
+      auto item = Decode(**message);
+      if (!item.ok()) return item.status();
+      ended_ = std::holds_alternative<End>(item->content);
+      Apply(*item);
+      if (next_ % kBatchFrames != 0 && next_ != durable_) continue;
     }
-    if (next_ > processed_ && (next_ % kBatchFrames == 0 || next_ == durable_)) {
-      const absl::Status committed = Commit();
-      if (!committed.ok()) return committed;
-    }
+    // Up to where the server was when it stopped, all is stored.
+    if (next_ < stored_poses_ || heard_ < stored_evidence_) continue;
+    const absl::Status committed = Commit();
+    if (!committed.ok()) return committed;
   }
   return finished_ ? Complete() : absl::OkStatus();
 }
@@ -295,23 +300,62 @@ absl::StatusOr<std::int64_t> Session::NextEpoch() {
 }
 
 void Session::Process() {
-  std::vector<Item> items;
   {
     std::lock_guard lock(mutex_);
-    if (stopping_ || !fault_.ok() || next_ == durable_) {
+    std::int64_t bytes = 0;
+    while (next_ + static_cast<std::int64_t>(batch_.size()) < durable_ &&
+           batch_.size() < kBatchFrames && bytes < kBatchBytes) {
+      bytes += queue_.front().payload_bytes;
+      batch_.push_back(std::move(queue_.front()));
+      queue_.pop_front();
+    }
+    if (stopping_ || !fault_.ok() || (batch_.empty() && !IsBehind())) {
       scheduled_ = false;
       return;
     }
-    std::int64_t bytes = 0;
-    while (next_ + static_cast<std::int64_t>(items.size()) < durable_ &&
-           items.size() < kBatchFrames && bytes < kBatchBytes) {
-      bytes += queue_.front().payload_bytes;
-      items.push_back(std::move(queue_.front()));
-      queue_.pop_front();
-    }
   }
-  for (const Item& item : items) Apply(item);
+  if (IsBehind()) {
+    const absl::Status caught_up = CatchUp();
+    if (!caught_up.ok()) {
+      std::lock_guard lock(mutex_);
+      fault_ = caught_up;
+      scheduled_ = false;
+      Wake();
+      return;
+    }
+  } else {
+    // What the robot has heard comes into the map in the order of the drive: as soon as it knows
+    // where it was, before it drives on.
+    for (; !batch_.empty() && !IsBehind(); batch_.pop_front()) Apply(batch_.front());
+  }
   CommitAndGoOn();
+}
+
+bool Session::IsBehind() const { return listening_ && heard_ < next_ && !listening_->waits(); }
+
+absl::Status Session::CatchUp() {
+  if (!unheard_) {
+    std::shared_ptr<storage::SessionLog> log;
+    {
+      std::lock_guard lock(mutex_);
+      log = log_;
+    }
+    auto reader = log->Read(heard_);
+    if (!reader.ok()) return reader.status();
+    unheard_ = *std::move(reader);
+  }
+  for (int i = 0; i < kBatchFrames && IsBehind(); ++i) {
+    const auto message = unheard_->Next();
+    if (!message.ok()) return message.status();
+    if (!message->has_value()) return absl::DataLossError("the session log ends early");
+    const auto item = Decode(**message);
+    if (!item.ok()) return item.status();
+    Listening::Output output;
+    listening_->Hear(std::get<frames::Frame>(item->content), output);
+    TakeScans(heard_++, std::move(output.scans));
+  }
+  if (!IsBehind()) unheard_.reset();
+  return absl::OkStatus();
 }
 
 void Session::CommitAndGoOn() {
@@ -338,15 +382,37 @@ void Session::Apply(const Item& item) {
   if (batch_first_ns_ == 0) batch_first_ns_ = item.log_time_ns;
   batch_last_ns_ = item.log_time_ns;
   if (std::holds_alternative<End>(item.content)) finished_ = true;
-  if (!listening_) return;
+  if (!listening_) {
+    heard_ = next_;
+    return;
+  }
 
   Listening::Output output;
   if (const auto* frame = std::get_if<frames::Frame>(&item.content)) {
-    listening_->Process(*frame, output);
+    listening_->Localize(*frame, output);
+    if (heard_ == offset && !listening_->waits()) {
+      listening_->Hear(*frame, output);
+      heard_ = next_;
+    }
   } else {
     listening_->Finish(output);
+    heard_ = next_;
   }
-  for (Listening::Scan& scan : output.scans) {
+  TakeScans(offset, std::move(output.scans));
+  if (offset >= stored_poses_) {
+    for (const localization::PoseEstimate& pose : output.path) {
+      commit_.trajectory.push_back({pose.stamp_ns, EncodePose(pose)});
+    }
+  }
+  if (!output.path.empty()) {
+    std::lock_guard lock(mutex_);
+    newest_pose_ = output.path.back();
+  }
+}
+
+void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans) {
+  if (offset < stored_evidence_) return;
+  for (Listening::Scan& scan : scans) {
     const AudioScanInfo info{robot_,
                              commit_.session,
                              scan.evidence.stamp_ns,
@@ -356,18 +422,12 @@ void Session::Apply(const Item& item) {
                              static_cast<std::int64_t>(scan.evidence.end_points.size())};
     commit_.journal.push_back({offset, EncodeAudioScan(info), std::move(scan.evidence)});
   }
-  for (const localization::PoseEstimate& pose : output.path) {
-    commit_.trajectory.push_back({pose.stamp_ns, EncodePose(pose)});
-  }
-  if (!output.path.empty()) {
-    std::lock_guard lock(mutex_);
-    newest_pose_ = output.path.back();
-  }
 }
 
 absl::Status Session::Commit() {
-  if (commit_.processed_offset != next_) {
+  if (commit_.processed_offset != next_ || commit_.heard_offset != heard_) {
     commit_.processed_offset = next_;
+    commit_.heard_offset = heard_;
     if (snapshot_ns_ == 0) snapshot_ns_ = batch_last_ns_;
     if (listening_ && !finished_ && batch_last_ns_ - snapshot_ns_ >= kSnapshotInterval_ns) {
       commit_.state = storage::StateSnapshot{next_, listening_->SaveState()};

@@ -13,7 +13,6 @@
 #include <variant>
 
 #include "absl/status/statusor.h"
-#include "building/building.h"
 #include "frames/frames.h"
 #include "pipeline/listening.h"
 #include "pipeline/profile.h"
@@ -43,7 +42,7 @@ class Session : public std::enable_shared_from_this<Session> {
     storage::Store* store = nullptr;
     Region* region = nullptr;
     const Profile* profile = nullptr;
-    std::shared_ptr<const building::Building> building;  // null while mapping
+    std::shared_ptr<const localization::PreparedPlan> plan;  // null while mapping
     FrameDecoder decode;
     boost::asio::any_io_executor executor;
   };
@@ -112,6 +111,11 @@ class Session : public std::enable_shared_from_this<Session> {
   // On the strand, or before it runs.
   void Process();
   void Apply(const Item& item);
+  // Whether frames wait to be heard that can be heard now.
+  bool IsBehind() const;
+  // Reads some of them from the log and hears them.
+  absl::Status CatchUp();
+  void TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans);
   absl::Status Commit();
   absl::Status Complete();
   void CommitAndGoOn();
@@ -141,8 +145,14 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // Strand-owned.
   std::unique_ptr<Listening> listening_;  // null while mapping
-  storage::Commit commit_;                // what the frames since the last commit led to
-  std::int64_t next_ = 0;                 // the next frame to process
+  std::deque<Item> batch_;                // durable, to be processed next
+  std::int64_t heard_ = 0;                // the next frame to hear: what a lost robot heard waits
+  std::unique_ptr<storage::FrameReader> unheard_;  // at the frame heard_, while catching up
+  // Poses and evidence of frames before these were stored before the server last started.
+  std::int64_t stored_poses_ = 0;
+  std::int64_t stored_evidence_ = 0;
+  storage::Commit commit_;  // what the frames since the last commit led to
+  std::int64_t next_ = 0;   // the next frame to process
   std::int64_t batch_bytes_ = 0;
   frames::TimeNs batch_first_ns_ = 0;
   frames::TimeNs batch_last_ns_ = 0;

@@ -1,13 +1,15 @@
 #include "pipeline/site.h"
 
 #include <algorithm>
-#include <nlohmann/json.hpp>
+#include <iterator>
+#include <tuple>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "building/stored_building.h"
 #include "pipeline/archive.h"
+#include "pipeline/map_drives.h"
 #include "storage/names.h"
 
 namespace soundmap::pipeline {
@@ -69,12 +71,22 @@ absl::StatusOr<std::shared_ptr<const building::Building>> Site::LoadBuilding(
   return std::make_shared<const building::Building>(*std::move(building));
 }
 
+absl::StatusOr<std::shared_ptr<const localization::PreparedPlan>> Site::PlanOf(
+    std::int64_t version) {
+  if (plan_ && version == record_.building_version) return plan_;
+  auto building = LoadBuilding(version);
+  if (!building.ok()) return building.status();
+  auto plan = localization::PreparedPlan::Create(profile_.localization, (*building)->floor_plan);
+  if (plan.ok() && version == record_.building_version) plan_ = *plan;
+  return plan;
+}
+
 absl::StatusOr<std::shared_ptr<Session>> Site::OpenSession(SessionRecord record) {
   Session::Site parts{store_, region_.get(), &profile_, nullptr, decode_, executor_};
   if (record.purpose == Purpose::kListening && !record.complete) {
-    auto building = LoadBuilding(record.building_version);
-    if (!building.ok()) return building.status();
-    parts.building = *std::move(building);
+    auto plan = PlanOf(record.building_version);
+    if (!plan.ok()) return plan.status();
+    parts.plan = *std::move(plan);
   }
   return Session::Open(std::move(record), std::move(parts));
 }
@@ -109,10 +121,6 @@ absl::StatusOr<std::shared_ptr<Session>> Site::CreateSession(const SessionReques
           "site '", record_.site,
           "' has no geometric map; replay a mapping drive and run `soundmap map build ",
           record_.site, "`, or import a map"));
-    }
-    if (!request.initial_pose) {
-      return absl::FailedPreconditionError(absl::StrCat(
-          "robot '", request.robot, "' does not say where it starts; give --initial-pose x,y,yaw"));
     }
   }
   SessionRecord record;
@@ -159,92 +167,86 @@ std::shared_ptr<const building::Building> Site::building() const {
   return building_;
 }
 
-absl::Status Site::ActivateBuilding(building::Building building) {
+absl::Status Site::ActivateBuilding(building::Building building,
+                                    std::vector<std::string> sessions) {
   // A plan that cannot be localized in is refused here, not when the first robot comes.
-  const auto plan = localization::PreparedPlan::Create(profile_.localization, building.floor_plan);
+  auto plan = localization::PreparedPlan::Create(profile_.localization, building.floor_plan);
   if (!plan.ok()) return plan.status();
   const std::string bytes = building::SerializeBuilding(building);
   std::lock_guard lock(mutex_);
   SiteRecord record = record_;
   ++record.building_version;
+  record.building_sessions = std::move(sessions);
   absl::Status stored = store_->PutRecord(storage::Table::kBuilding,
                                           BuildingKey(record.site, record.building_version), bytes);
   if (stored.ok()) stored = store_->PutRecord(storage::Table::kSite, record.site, ToJson(record));
   if (!stored.ok()) return stored;
   record_ = std::move(record);
   building_ = std::make_shared<const building::Building>(std::move(building));
+  plan_ = *std::move(plan);
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::string> Site::BuildMap(const std::string& session_name,
-                                           const std::vector<mapping::StampedPose>& surveyed_poses,
-                                           OperationContext& context) {
-  std::shared_ptr<Session> session;
-  if (!session_name.empty()) {
-    auto named = GetSession(session_name);
-    if (!named.ok()) return named.status();
-    session = *std::move(named);
-    if (session->record().purpose != Purpose::kMapping) {
+absl::StatusOr<std::vector<SessionRecord>> Site::DrivesToMap(const MapRequest& request) const {
+  std::vector<SessionRecord> drives;
+  for (const std::string& name : request.sessions) {
+    auto session = GetSession(name);
+    if (!session.ok()) return session.status();
+    drives.push_back((*session)->record());
+    if (drives.back().purpose != Purpose::kMapping) {
       return absl::FailedPreconditionError(
-          absl::StrCat("session '", session_name, "' is not a mapping drive"));
+          absl::StrCat("session '", name, "' is not a mapping drive"));
     }
-  } else {
-    for (const std::shared_ptr<Session>& candidate : Sessions()) {
-      const SessionRecord record = candidate->record();
-      if (record.purpose != Purpose::kMapping) continue;
-      if (!session || record.create_time_ns > session->record().create_time_ns) session = candidate;
-    }
-    if (!session) {
-      return absl::FailedPreconditionError(absl::StrCat(
-          "site '", record().site, "' has no mapping drive; replay one with --purpose mapping"));
+    if (!drives.back().complete) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("the mapping drive '", name, "' has not arrived in full"));
     }
   }
-  const SessionRecord record = session->record();
-  if (!record.complete) {
-    return absl::FailedPreconditionError(
-        absl::StrCat("the mapping drive '", record.session, "' has not arrived in full"));
-  }
+  if (!drives.empty()) return drives;
 
-  auto mapper =
-      mapping::Mapper::Create(profile_.mapping, record.calibration,
-                              record.initial_pose.value_or(geometry::Pose2{}), surveyed_poses);
-  if (!mapper.ok()) return mapper.status();
-  const storage::SessionId id{record.site, record.session};
-  const auto log = store_->OpenSession(id);
-  if (!log.ok()) return log.status();
-  const auto reader = (*log)->Read(0);
-  if (!reader.ok()) return reader.status();
-  for (std::int64_t offset = 0; offset < record.frame_count; ++offset) {
-    if (context.cancelled()) return absl::CancelledError("the building of the map was cancelled");
-    if (offset % 64 == 0) {
-      context.Report(0.5 * static_cast<double>(offset) / static_cast<double>(record.frame_count),
-                     "registering scans");
+  const std::vector<std::string> mapped = record().building_sessions;
+  int incomplete = 0;
+  for (const std::shared_ptr<Session>& session : Sessions()) {
+    SessionRecord drive = session->record();
+    if (drive.purpose != Purpose::kMapping) continue;
+    if (request.extend && std::find(mapped.begin(), mapped.end(), drive.session) != mapped.end()) {
+      continue;
     }
-    const auto message = (*reader)->Next();
-    if (!message.ok()) return message.status();
-    if (!message->has_value()) return absl::DataLossError("the session log ends early");
-    const auto frame = decode_(**message, record.calibration);
-    if (!frame.ok()) return frame.status();
-    mapper->Add(*frame).IgnoreError();  // a malformed frame is left out and counted
+    drive.complete ? drives.push_back(std::move(drive)) : void(++incomplete);
   }
-  store_->CloseSession(id).IgnoreError();  // nothing was appended
-  auto result = mapper->Finish([&context](double share) {
-    context.Report(0.5 + 0.5 * share, "relaxing the scans and casting their rays");
-    return !context.cancelled();
+  if (drives.empty()) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "site '", record().site, "' has no ",
+        request.extend ? "mapping drive that is not in its map yet" : "mapping drive",
+        incomplete > 0 ? " and has arrived in full" : "; replay one with --purpose mapping"));
+  }
+  std::sort(drives.begin(), drives.end(), [](const SessionRecord& a, const SessionRecord& b) {
+    return std::tie(a.create_time_ns, a.session) < std::tie(b.create_time_ns, b.session);
   });
-  if (!result.ok()) return result.status();
-  const std::string report =
-      nlohmann::json{{"session", record.session},
-                     {"scans", result->report.scans},
-                     {"scans_dropped", result->report.scans_dropped},
-                     {"scans_unregistered", result->report.scans_unregistered},
-                     {"key_scans", result->report.key_scans},
-                     {"mean_residual_m", result->report.mean_residual_m},
-                     {"drift_removed_m", result->report.drift_removed_m}}
-          .dump();
-  const absl::Status activated = ActivateBuilding(std::move(result->building));
+  if (!request.surveyed_poses.empty()) drives.erase(drives.begin(), std::prev(drives.end()));
+  return drives;
+}
+
+absl::StatusOr<std::string> Site::BuildMap(const MapRequest& request, OperationContext& context) {
+  const auto drives = DrivesToMap(request);
+  if (!drives.ok()) return drives.status();
+  std::vector<std::string> sessions;
+  std::shared_ptr<const building::Building> present;
+  if (request.extend) {
+    present = building();
+    if (!present) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("site '", record().site, "' has no map to extend"));
+    }
+    sessions = record().building_sessions;
+  }
+  for (const SessionRecord& drive : *drives) sessions.push_back(drive.session);
+  auto map =
+      MapDrives(*drives, request.surveyed_poses, present, profile_, store_, decode_, context);
+  if (!map.ok()) return map.status();
+  const absl::Status activated = ActivateBuilding(std::move(map->building), std::move(sessions));
   if (!activated.ok()) return activated;
-  return report;
+  return map->report_json;
 }
 
 std::vector<RobotInfo> Site::Robots() const {
@@ -261,6 +263,7 @@ std::vector<RobotInfo> Site::Robots() const {
     robot.pose = session->newest_pose();
   }
   std::vector<RobotInfo> list;
+  list.reserve(robots.size());
   for (auto& [name, robot] : robots) list.push_back(std::move(robot));
   return list;
 }

@@ -8,6 +8,7 @@
 
 #include "absl/status/statusor.h"
 #include "building/building.h"
+#include "localization/prepared_plan.h"
 #include "mapping/mapper.h"
 #include "pipeline/operations.h"
 #include "pipeline/profile.h"
@@ -28,6 +29,15 @@ struct SessionRequest {
   std::vector<std::string> warnings;
 };
 
+// What the geometric map is to be made from.
+struct MapRequest {
+  // Mapping sessions, the first fixes the map frame. Empty: all that are complete, oldest first;
+  // with surveyed poses the newest; with `extend` those that are not in the map yet.
+  std::vector<std::string> sessions;
+  std::vector<mapping::StampedPose> surveyed_poses;  // instead of registration
+  bool extend = false;                               // the map, its frame and surfaces stay
+};
+
 // One building with its shared map, and the drives through it. Thread safe.
 class Site : public std::enable_shared_from_this<Site> {
  public:
@@ -40,7 +50,7 @@ class Site : public std::enable_shared_from_this<Site> {
   Region& region() { return *region_; }
 
   // The session, new or as it was, under a new epoch. FailedPrecondition: the site has no geometric
-  // map to listen in, or the robot does not say where it starts. AlreadyExists: the session was
+  // map to listen in. AlreadyExists: the session was
   // created with another robot, purpose or calibration.
   absl::StatusOr<std::shared_ptr<Session>> CreateSession(const SessionRequest& request,
                                                          std::int64_t now_ns);
@@ -53,14 +63,12 @@ class Site : public std::enable_shared_from_this<Site> {
   std::shared_ptr<const building::Building> building() const;
   // Stores the building as the site's next version and puts it to use; sessions that run keep the
   // one they began with.
-  absl::Status ActivateBuilding(building::Building building);
+  // `sessions`: that it was made from.
+  absl::Status ActivateBuilding(building::Building building, std::vector<std::string> sessions);
 
-  // Makes the geometric map from a mapping session that is complete (the newest when `session` is
-  // empty), with surveyed poses instead of registration if there are any. The report of the
-  // operation is JSON.
-  absl::StatusOr<std::string> BuildMap(const std::string& session,
-                                       const std::vector<mapping::StampedPose>& surveyed_poses,
-                                       OperationContext& context);
+  // Makes the geometric map and puts it to use. The report of the operation is JSON.
+  // FailedPrecondition: a drive has not arrived in full or does not overlap the others.
+  absl::StatusOr<std::string> BuildMap(const MapRequest& request, OperationContext& context);
 
   // The newest known state of every robot that has had a session here, by name.
   std::vector<RobotInfo> Robots() const;
@@ -74,6 +82,9 @@ class Site : public std::enable_shared_from_this<Site> {
   absl::StatusOr<std::shared_ptr<Session>> OpenSession(SessionRecord record);
   absl::StatusOr<std::shared_ptr<const building::Building>> LoadBuilding(
       std::int64_t version) const;
+  // Of a version of the building; that of the present one is made once.
+  absl::StatusOr<std::shared_ptr<const localization::PreparedPlan>> PlanOf(std::int64_t version);
+  absl::StatusOr<std::vector<SessionRecord>> DrivesToMap(const MapRequest& request) const;
 
   const Profile profile_;
   storage::Store* const store_;
@@ -82,8 +93,9 @@ class Site : public std::enable_shared_from_this<Site> {
   std::unique_ptr<Region> region_;
 
   mutable std::mutex mutex_;
-  SiteRecord record_;                                         // guarded by mutex_
-  std::shared_ptr<const building::Building> building_;        // guarded by mutex_
+  SiteRecord record_;                                       // guarded by mutex_
+  std::shared_ptr<const building::Building> building_;      // guarded by mutex_
+  std::shared_ptr<const localization::PreparedPlan> plan_;  // guarded by mutex_; null: not made yet
   std::map<std::string, std::shared_ptr<Session>> sessions_;  // guarded by mutex_
 };
 

@@ -61,13 +61,17 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
 Sites::~Sites() { Stop(); }
 
 absl::StatusOr<std::shared_ptr<Site>> Sites::Create(const std::string& name,
-                                                    const std::string& profile_name) {
+                                                    const std::string& profile_name,
+                                                    const std::string& request_id) {
   const absl::Status valid = storage::ValidateName("site", name);
   if (!valid.ok()) return valid;
   const auto profile = options_.profile(profile_name.empty() ? "default" : profile_name);
   if (!profile.ok()) return profile.status();
   std::lock_guard lock(mutex_);
-  if (sites_.contains(name)) {
+  if (const auto known = sites_.find(name); known != sites_.end()) {
+    if (!request_id.empty() && known->second->record().create_request_id == request_id) {
+      return known->second;
+    }
     return absl::AlreadyExistsError(absl::StrCat("site '", name, "' exists already"));
   }
   SiteRecord record;
@@ -75,6 +79,7 @@ absl::StatusOr<std::shared_ptr<Site>> Sites::Create(const std::string& name,
   record.profile = profile->name;
   record.parameters_toml = ToToml(*profile);
   record.create_time_ns = options_.now_ns();
+  record.create_request_id = request_id;
   const absl::Status stored = store_->PutRecord(storage::Table::kSite, name, ToJson(record));
   if (!stored.ok()) return stored;
   auto site = Site::Open(std::move(record), store_, options_.decode, options_.executor);

@@ -34,8 +34,10 @@ class Sites {
   // Stop().
   ~Sites();
 
-  // AlreadyExists; InvalidArgument: not a name, an unknown profile.
-  absl::StatusOr<std::shared_ptr<Site>> Create(const std::string& site, const std::string& profile);
+  // The same request again gives the site that it created. AlreadyExists; InvalidArgument: not a
+  // name, an unknown profile.
+  absl::StatusOr<std::shared_ptr<Site>> Create(const std::string& site, const std::string& profile,
+                                               const std::string& request_id);
   absl::StatusOr<std::shared_ptr<Site>> Get(const std::string& site) const;
   std::vector<std::shared_ptr<Site>> List() const;  // by name
   // With its map, sessions and recordings. FailedPrecondition: a robot is streaming to it.

@@ -405,6 +405,26 @@ void DrawSourceTable(cairo_t* cr, double left, double top, double bottom,
   }
 }
 
+std::string Subtitle(const Snapshot& snapshot, const std::optional<PlanImage>& plan,
+                     const PlanViewOptions& options) {
+  if (options.floor_plan_only) {
+    const double cell_size_m = plan ? plan->cell_size_m : 0.0;
+    return absl::StrFormat("cells of %g cm: black is a wall, white is free, grey is unknown",
+                           100.0 * cell_size_m);
+  }
+  std::string subtitle = absl::StrFormat("%d voxels of %g cm", snapshot.voxel_count(),
+                                         100.0 * snapshot.voxel_size_m());
+  if (options.min_updates > 0) {
+    absl::StrAppend(&subtitle, ", shown with more than ", options.min_updates, " updates");
+  }
+  if (snapshot.as_of_ns()) {
+    absl::StrAppend(&subtitle, absl::FormatTime(", as of %Y-%m-%d %H:%M:%S UTC",
+                                                absl::FromUnixNanos(*snapshot.as_of_ns()),
+                                                absl::UTCTimeZone()));
+  }
+  return subtitle;
+}
+
 cairo_status_t AppendBytes(void* closure, const unsigned char* data, unsigned int length) {
   static_cast<std::string*>(closure)->append(reinterpret_cast<const char*>(data), length);
   return CAIRO_STATUS_SUCCESS;
@@ -431,7 +451,9 @@ absl::StatusOr<std::string> RenderPlanView(const Snapshot& snapshot,
   const double body_height = std::max(view.height, kMinPlotHeight);
   view.top += 0.5 * (body_height - view.height);
   const double panel_left = view.left + view.width + kPanelGap;
-  const int page_width = static_cast<int>(std::ceil(panel_left + kPanelWidth + 24.0));
+  const double page_right =
+      options.floor_plan_only ? view.left + view.width : panel_left + kPanelWidth;
+  const int page_width = static_cast<int>(std::ceil(page_right + 24.0));
   const int page_height = static_cast<int>(std::ceil(kMarginTop + body_height + kMarginBottom));
 
   const Surface surface(cairo_image_surface_create(CAIRO_FORMAT_RGB24, page_width, page_height),
@@ -452,20 +474,13 @@ absl::StatusOr<std::string> RenderPlanView(const Snapshot& snapshot,
   DrawSources(cr, view, shown);
 
   DrawText(cr, options.title, view.left, 44.0, 22.0, Align::kLeft, true);
-  std::string subtitle = absl::StrFormat("%d voxels of %g cm", snapshot.voxel_count(),
-                                         100.0 * snapshot.voxel_size_m());
-  if (options.min_updates > 0) {
-    absl::StrAppend(&subtitle, ", shown with more than ", options.min_updates, " updates");
+  DrawText(cr, Subtitle(snapshot, plan, options), view.left, 68.0, 13.0, Align::kLeft, false,
+           kSoftInk);
+  if (!options.floor_plan_only) {
+    DrawColorBar(cr, panel_left, kMarginTop + 12.0);
+    DrawSourceTable(cr, panel_left, kMarginTop + 12.0 + 40.0 + kBarHeight + 48.0,
+                    kMarginTop + body_height, shown, options.min_probability);
   }
-  if (snapshot.as_of_ns()) {
-    absl::StrAppend(&subtitle, absl::FormatTime(", as of %Y-%m-%d %H:%M:%S UTC",
-                                                absl::FromUnixNanos(*snapshot.as_of_ns()),
-                                                absl::UTCTimeZone()));
-  }
-  DrawText(cr, subtitle, view.left, 68.0, 13.0, Align::kLeft, false, kSoftInk);
-  DrawColorBar(cr, panel_left, kMarginTop + 12.0);
-  DrawSourceTable(cr, panel_left, kMarginTop + 12.0 + 40.0 + kBarHeight + 48.0,
-                  kMarginTop + body_height, shown, options.min_probability);
 
   std::string png;
   cairo_surface_flush(surface.get());

@@ -27,6 +27,7 @@ struct PlanViewOptions {
   std::uint32_t min_updates = 0;  // epsilon_C
   double min_probability = 0.5;   // of the sources that are marked
   int max_plot_pixels = 1400;     // longer side of the map in the picture, 200 .. 8000
+  bool floor_plan_only = false;   // without the legend of the sound
 };
 
 // The map from above as a PNG, like the paper's Figs. 8 and 10: per column of voxels the largest

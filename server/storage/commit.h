@@ -39,7 +39,10 @@ struct StateSnapshot {
 struct Commit {
   std::string site;
   std::string session;
-  std::int64_t processed_offset = 0;  // frames 0 .. processed_offset-1 have had their effect
+  std::int64_t processed_offset = 0;  // frames 0 .. processed_offset-1 have moved the robot
+  // Frames 0 .. heard_offset-1 have had their effect on the sound map, too. Behind processed_offset
+  // while the robot does not know where it is: what it heard waits in the session log.
+  std::int64_t heard_offset = 0;
   std::vector<JournalEntry> journal;
   std::vector<TrajectoryEntry> trajectory;
   std::optional<StateSnapshot> state;  // replaces the one before

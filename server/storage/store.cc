@@ -36,6 +36,7 @@ std::string DeletedSiteKey(const std::string& site) { return kEnd + site; }
 std::string SessionKey(const SessionId& id) { return SiteKey(id.site) + 's' + id.session + kEnd; }
 std::string DurableKey(const SessionId& id) { return SessionKey(id) + 'd'; }
 std::string ProcessedKey(const SessionId& id) { return SessionKey(id) + 'p'; }
+std::string HeardKey(const SessionId& id) { return SessionKey(id) + 'h'; }
 std::string StateKey(const SessionId& id) { return SessionKey(id) + 't'; }
 
 std::string EntryPrefix(const std::string& site) { return SiteKey(site) + 'e'; }
@@ -145,7 +146,7 @@ struct Store::State {
   absl::Status DecodeEntry(const std::string& site, std::string_view value,
                            JournalRecord* record) const;
   absl::Status CheckSize(absl::string_view what, const std::string& bytes) const;
-  absl::Status CheckCommit(const Commit& commit, std::int64_t processed) const;
+  absl::Status CheckCommit(const Commit& commit, std::int64_t processed, std::int64_t heard) const;
 };
 
 // A crash in DeleteSite() leaves a mark and the folder of the session logs.
@@ -337,18 +338,25 @@ std::vector<std::pair<SessionId, std::shared_ptr<SessionLog>>> Store::OpenSessio
   return {state_->sessions.begin(), state_->sessions.end()};
 }
 
-absl::Status Store::State::CheckCommit(const Commit& commit, std::int64_t processed) const {
+absl::Status Store::State::CheckCommit(const Commit& commit, std::int64_t processed,
+                                       std::int64_t heard) const {
   if (commit.processed_offset < processed) {
     return absl::FailedPreconditionError(
         absl::StrCat("session ", commit.session, " of site ", commit.site, " is processed up to ",
                      processed, " already, not to ", commit.processed_offset));
   }
+  if (commit.heard_offset < heard || commit.heard_offset > commit.processed_offset) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("session ", commit.session, " of site ", commit.site, " is heard up to ",
+                     heard, " already and processed up to ", commit.processed_offset,
+                     ", not heard up to ", commit.heard_offset));
+  }
   for (const JournalEntry& entry : commit.journal) {
-    if (entry.offset >= processed && entry.offset < commit.processed_offset) continue;
+    if (entry.offset >= heard && entry.offset < commit.heard_offset) continue;
     return absl::FailedPreconditionError(
         absl::StrCat("the audio scan at frame ", entry.offset, " of session ", commit.session,
-                     " is not among the frames ", processed, " to ", commit.processed_offset,
-                     " that are processed with it"));
+                     " is not among the frames ", heard, " to ", commit.heard_offset,
+                     " that are heard with it"));
   }
   return absl::OkStatus();
 }
@@ -404,7 +412,10 @@ absl::StatusOr<std::uint64_t> Store::CommitBatch(const Commit& commit) {
   }
   const auto processed = state_->GetNumber(ProcessedKey(id));
   if (!processed.ok()) return processed.status();
-  if (absl::Status checked = state_->CheckCommit(commit, static_cast<std::int64_t>(*processed));
+  const auto heard = state_->GetNumber(HeardKey(id));
+  if (!heard.ok()) return heard.status();
+  if (absl::Status checked = state_->CheckCommit(commit, static_cast<std::int64_t>(*processed),
+                                                 static_cast<std::int64_t>(*heard));
       !checked.ok()) {
     return checked;
   }
@@ -422,6 +433,7 @@ absl::StatusOr<std::uint64_t> Store::CommitBatch(const Commit& commit) {
   }
   batch.Put(Family::kState, ProcessedKey(id),
             Number(static_cast<std::uint64_t>(commit.processed_offset)));
+  batch.Put(Family::kState, HeardKey(id), Number(static_cast<std::uint64_t>(commit.heard_offset)));
   if (absl::Status written = state_->database->Write(batch, /*sync=*/false); !written.ok())
     return written;
   return sequence;
@@ -432,6 +444,13 @@ absl::StatusOr<std::int64_t> Store::ProcessedOffset(const SessionId& id) const {
   const auto processed = state_->GetNumber(ProcessedKey(id));
   if (!processed.ok()) return processed.status();
   return static_cast<std::int64_t>(*processed);
+}
+
+absl::StatusOr<std::int64_t> Store::HeardOffset(const SessionId& id) const {
+  if (absl::Status valid = ValidateId(id); !valid.ok()) return valid;
+  const auto heard = state_->GetNumber(HeardKey(id));
+  if (!heard.ok()) return heard.status();
+  return static_cast<std::int64_t>(*heard);
 }
 
 absl::StatusOr<std::optional<StateSnapshot>> Store::LatestState(const SessionId& id) const {

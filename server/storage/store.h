@@ -76,11 +76,12 @@ class Store {
 
   // Processing. Written, not synced: the session log is the truth, and a power failure takes whole
   // commits from the end. Returns the sequence of the site's last journal entry.
-  // FailedPrecondition: processed_offset lies behind that of an earlier commit or beyond the log's
-  // durable(), or a journal entry's offset is not in [earlier processed_offset, processed_offset):
-  // it has been counted.
+  // FailedPrecondition: an offset lies behind that of an earlier commit, processed_offset beyond
+  // the log's durable() or heard_offset beyond processed_offset, or a journal entry's offset is not
+  // in [earlier heard_offset, heard_offset): it has been counted.
   absl::StatusOr<std::uint64_t> CommitBatch(const Commit& commit);
   absl::StatusOr<std::int64_t> ProcessedOffset(const SessionId& id) const;
+  absl::StatusOr<std::int64_t> HeardOffset(const SessionId& id) const;
   absl::StatusOr<std::optional<StateSnapshot>> LatestState(const SessionId& id) const;
   // Poses with from_ns <= time < to_ns, oldest first.
   absl::Status ReadTrajectory(

@@ -21,6 +21,7 @@ namespace soundmap {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::ElementsAre;
 using testing::FakeServer;
 using testing::FakeState;
 using ::testing::HasSubstr;
@@ -261,10 +262,12 @@ TEST_F(CliTest, InterruptCancelsTheBuild) {
 }
 
 TEST_F(CliTest, BuildsFromSurveyedPoses) {
-  const Result result = Run({"map", "build", "hall", "--from-session", "m1", "--poses",
-                             Write("p.csv", "1,2,3,0.5\n2,2,3,0.5\n")});
+  const Result result = Run({"map", "build", "hall", "--from-session", "m1", "--from-session", "m2",
+                             "--extend", "--poses", Write("p.csv", "1,2,3,0.5\n2,2,3,0.5\n")});
   ASSERT_EQ(result.exit_status, 0) << result.err;
-  EXPECT_EQ(state().last_build_request.session(), "sites/hall/sessions/m1");
+  EXPECT_THAT(state().last_build_request.sessions(),
+              ElementsAre("sites/hall/sessions/m1", "sites/hall/sessions/m2"));
+  EXPECT_TRUE(state().last_build_request.extend());
   EXPECT_EQ(state().last_build_request.surveyed_poses_size(), 2);
 }
 

@@ -125,8 +125,8 @@ TEST_F(ClientTest, TriesReadsAgainWhenUnavailable) {
 
 TEST_F(ClientTest, SendsChangesOnce) {
   state().failures = 1;
-  EXPECT_EQ(client_.CreateSite("a").status().code(), absl::StatusCode::kUnavailable);
-  EXPECT_EQ(state().calls["CreateSite"], 1);
+  EXPECT_EQ(client_.DeleteSite("a").code(), absl::StatusCode::kUnavailable);
+  EXPECT_EQ(state().calls["DeleteSite"], 1);
 }
 
 TEST_F(ClientTest, DoesNotRepeatOtherErrors) {
@@ -294,7 +294,7 @@ TEST_F(ClientTest, BuildsAMapWithProgress) {
   state().operation.set_report_json("{\"residual_m\":0.01}");
   std::vector<double> progress;
   const auto operation =
-      client_.BuildMap({.site = "hall", .session = "m1", .surveyed_poses = {{7, {1, 2, 3}}}},
+      client_.BuildMap({.site = "hall", .sessions = {"m1"}, .surveyed_poses = {{7, {1, 2, 3}}}},
                        [&](const Operation& state) {
                          progress.push_back(state.progress);
                          return true;
@@ -302,7 +302,7 @@ TEST_F(ClientTest, BuildsAMapWithProgress) {
   ASSERT_TRUE(operation.ok()) << operation.status();
   EXPECT_EQ(operation->report_json, "{\"residual_m\":0.01}");
   EXPECT_THAT(progress, ElementsAre(0.5, 0.5, 1.0));
-  EXPECT_EQ(state().last_build_request.session(), "sites/hall/sessions/m1");
+  EXPECT_THAT(state().last_build_request.sessions(), ElementsAre("sites/hall/sessions/m1"));
   ASSERT_EQ(state().last_build_request.surveyed_poses_size(), 1);
   EXPECT_EQ(state().last_build_request.surveyed_poses(0).time_ns(), 7);
   EXPECT_EQ(state().last_build_request.surveyed_poses(0).map_from_base().yaw_rad(), 3);
@@ -313,7 +313,7 @@ TEST_F(ClientTest, CancelsAnOperation) {
   const auto operation = client_.BuildMap({.site = "hall"}, [](const Operation&) { return false; });
   EXPECT_EQ(operation.status().code(), absl::StatusCode::kCancelled);
   EXPECT_EQ(state().calls["CancelOperation"], 1);
-  EXPECT_THAT(state().last_build_request.session(), IsEmpty());
+  EXPECT_THAT(state().last_build_request.sessions(), IsEmpty());
 }
 
 TEST_F(ClientTest, AFailedOperationIsAnError) {

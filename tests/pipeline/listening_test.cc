@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
@@ -11,23 +12,36 @@
 namespace soundmap::pipeline {
 namespace {
 
-// A square room of 6 m with its centre at the origin of the map, a robot that drives along x, and
-// noise in its microphones.
+// A square room of 6 m with its centre at the origin of the map, maybe with a pillar in a corner, a
+// robot that drives along x, and noise in its microphones.
 constexpr double kHalf_m = 3.0;
 constexpr double kSpeed_mps = 0.4;
 constexpr frames::TimeNs kStart_ns = 1'700'000'000'000'000'000;
 
 geometry::Pose2 TruePose(double time_s) { return {-1.0 + kSpeed_mps * time_s, 0.2, 0.1}; }
 
-double RangeToWall(double x_m, double y_m, double angle_rad) {
+// The pillar fills the corner of the largest x and y.
+constexpr double kPillar_m = 1.5;
+
+double RangeToWall(double x_m, double y_m, double angle_rad, bool pillar) {
   const double c = std::cos(angle_rad);
   const double s = std::sin(angle_rad);
   const double to_x = c == 0.0 ? 1e9 : (c > 0.0 ? kHalf_m - x_m : -kHalf_m - x_m) / c;
   const double to_y = s == 0.0 ? 1e9 : (s > 0.0 ? kHalf_m - y_m : -kHalf_m - y_m) / s;
-  return std::min(to_x, to_y);
+  double range_m = std::min(to_x, to_y);
+  constexpr double kFace_m = kHalf_m - kPillar_m;
+  if (pillar && c > 0.0 && x_m < kFace_m) {
+    const double to_face = (kFace_m - x_m) / c;
+    if (y_m + to_face * s > kFace_m) range_m = std::min(range_m, to_face);
+  }
+  if (pillar && s > 0.0 && y_m < kFace_m) {
+    const double to_face = (kFace_m - y_m) / s;
+    if (x_m + to_face * c > kFace_m) range_m = std::min(range_m, to_face);
+  }
+  return range_m;
 }
 
-std::shared_ptr<const building::Building> Room() {
+std::shared_ptr<const localization::PreparedPlan> Room(const Profile& profile, bool pillar) {
   building::FloorPlan plan(130, 130, 0.05, {-3.25, -3.25});
   for (int row = 0; row < plan.height(); ++row) {
     for (int column = 0; column < plan.width(); ++column) {
@@ -35,9 +49,15 @@ std::shared_ptr<const building::Building> Room() {
       plan.at(column, row) = edge < 4    ? building::Cell::kUnknown
                              : edge == 4 ? building::Cell::kOccupied
                                          : building::Cell::kFree;
+      // The face of the pillar lies on the near edge of its first cells.
+      const int inside =
+          std::min(column, row) - static_cast<int>((kHalf_m - kPillar_m + 3.25) / 0.05);
+      if (pillar && edge > 4 && inside >= 0) {
+        plan.at(column, row) = inside == 0 ? building::Cell::kOccupied : building::Cell::kUnknown;
+      }
     }
   }
-  return std::make_shared<const building::Building>(building::Building{nullptr, plan});
+  return localization::PreparedPlan::Create(profile.localization, plan).value();
 }
 
 frames::Calibration Robot() {
@@ -50,7 +70,7 @@ frames::Calibration Robot() {
   return calibration;
 }
 
-std::vector<frames::Frame> Drive(double seconds) {
+std::vector<frames::Frame> Drive(double seconds, bool pillar = false) {
   std::mt19937 random(5);
   std::normal_distribution<double> noise(0.0, 300.0);
   std::vector<frames::Frame> drive;
@@ -63,7 +83,8 @@ std::vector<frames::Frame> Drive(double seconds) {
       frames::LaserScan scan{stamp_ns, -geometry::kPi / 2.0, geometry::kPi / 180.0, {}};
       for (int beam = 0; beam <= 180; ++beam) {
         const double angle_rad = pose.yaw_rad - geometry::kPi / 2.0 + beam * geometry::kPi / 180.0;
-        scan.range_m.push_back(static_cast<float>(RangeToWall(pose.x_m, pose.y_m, angle_rad)));
+        scan.range_m.push_back(
+            static_cast<float>(RangeToWall(pose.x_m, pose.y_m, angle_rad, pillar)));
       }
       drive.push_back(scan);
     }
@@ -73,7 +94,7 @@ std::vector<frames::Frame> Drive(double seconds) {
       for (int ring = -5; ring <= 5; ++ring) {
         for (int step = 0; step < 360; ++step) {
           const double angle_rad = step * geometry::kPi / 180.0;
-          const double range_m = RangeToWall(pose.x_m, pose.y_m, pose.yaw_rad + angle_rad);
+          const double range_m = RangeToWall(pose.x_m, pose.y_m, pose.yaw_rad + angle_rad, pillar);
           scan.point_in_lidar.emplace_back(range_m * std::cos(angle_rad),
                                            range_m * std::sin(angle_rad), 0.1 * ring);
         }
@@ -96,11 +117,19 @@ class ListeningTest : public ::testing::Test {
         geometry::RadFromDeg(15.0);
   }
   std::unique_ptr<Listening> Create() {
-    return Listening::Create(profile_, Robot(), Room(), TruePose(0.0), /*seed=*/1).value();
+    return Listening::Create(profile_, Robot(), Room(profile_, pillar_), TruePose(0.0), /*seed=*/1)
+        .value();
   }
 
   Profile profile_ = *ProfileByName("default");
+  bool pillar_ = false;
 };
+
+// As a session does that knows where the robot is.
+void Process(Listening& listening, const frames::Frame& frame, Listening::Output& output) {
+  listening.Localize(frame, output);
+  listening.Hear(frame, output);
+}
 
 bool SameOutput(const Listening::Output& a, const Listening::Output& b) {
   if (a.scans.size() != b.scans.size() || a.path.size() != b.path.size()) return false;
@@ -116,7 +145,7 @@ bool SameOutput(const Listening::Output& a, const Listening::Output& b) {
 TEST_F(ListeningTest, EvidenceLiesOnTheWalls) {
   const auto listening = Create();
   Listening::Output output;
-  for (const frames::Frame& frame : Drive(4.0)) listening->Process(frame, output);
+  for (const frames::Frame& frame : Drive(4.0)) Process(*listening, frame, output);
   listening->Finish(output);
   ASSERT_GT(output.scans.size(), 20u);
   EXPECT_EQ(listening->counters().audio_scans, static_cast<std::int64_t>(output.scans.size()));
@@ -132,20 +161,81 @@ TEST_F(ListeningTest, EvidenceLiesOnTheWalls) {
   }
 }
 
+// Localizes each frame and hears what can be heard, as a session does; returns the frames heard.
+std::size_t ProcessInOrder(Listening& listening, const std::vector<frames::Frame>& drive,
+                           Listening::Output& output) {
+  std::size_t heard = static_cast<std::size_t>(listening.heard());
+  for (std::size_t i = 0; i < drive.size(); ++i) {
+    listening.Localize(drive[i], output);
+    while (heard <= i && !listening.waits()) listening.Hear(drive[heard++], output);
+  }
+  return heard;
+}
+
+TEST_F(ListeningTest, ARobotWithoutAStartIsHeardOnceItKnowsWhereItWas) {
+  // The square room looks the same from four places; a pillar tells them apart.
+  pillar_ = true;
+  const std::vector<frames::Frame> drive = Drive(6.0, pillar_);
+  const auto known = Create();
+  Listening::Output expected;
+  EXPECT_EQ(ProcessInOrder(*known, drive, expected), drive.size());
+  known->Finish(expected);
+
+  const auto unknown =
+      Listening::Create(profile_, Robot(), Room(profile_, pillar_), std::nullopt, 1).value();
+  Listening::Output output;
+  const std::vector<frames::Frame> beginning(drive.begin(), drive.begin() + 70);
+  EXPECT_LT(ProcessInOrder(*unknown, beginning, output), beginning.size());
+  EXPECT_TRUE(output.scans.empty()) << "it does not know where it is";
+  std::size_t heard = static_cast<std::size_t>(unknown->heard());
+  for (std::size_t i = beginning.size(); i < drive.size(); ++i) {
+    unknown->Localize(drive[i], output);
+    while (heard <= i && !unknown->waits()) unknown->Hear(drive[heard++], output);
+  }
+  EXPECT_EQ(heard, drive.size());
+  unknown->Finish(output);
+  EXPECT_GE(output.scans.size(), expected.scans.size() - 2) << "nothing is lost";
+  for (const Listening::Scan& scan : output.scans) {
+    const geometry::Pose2 truth =
+        TruePose(frames::SecondsFromNs(scan.evidence.stamp_ns - kStart_ns));
+    EXPECT_NEAR(scan.pose.map_from_base.x_m, truth.x_m, 0.05);
+    EXPECT_NEAR(scan.pose.map_from_base.y_m, truth.y_m, 0.05);
+  }
+  for (std::size_t i = 1; i < output.scans.size(); ++i) {
+    EXPECT_LT(output.scans[i - 1].evidence.stamp_ns, output.scans[i].evidence.stamp_ns);
+  }
+  EXPECT_EQ(unknown->counters().unheard_ns, 0);
+}
+
+TEST_F(ListeningTest, WhatARobotHeardThatNeverKnewWhereItWasIsLeftOutAndSaid) {
+  // Four places look the same for ever.
+  const auto listening =
+      Listening::Create(profile_, Robot(), Room(profile_, false), std::nullopt, 1).value();
+  Listening::Output output;
+  EXPECT_LT(ProcessInOrder(*listening, Drive(4.0, false), output), 60u);
+  listening->Finish(output);
+  EXPECT_TRUE(output.scans.empty());
+  EXPECT_NEAR(frames::SecondsFromNs(listening->counters().unheard_ns), 4.0, 0.6);
+  const std::vector<std::string> warnings = listening->Warnings();
+  EXPECT_TRUE(std::any_of(warnings.begin(), warnings.end(), [](const std::string& warning) {
+    return warning.find("did not learn where it was") != std::string::npos;
+  }));
+}
+
 TEST_F(ListeningTest, GoesOnBitForBitFromASavedState) {
   const std::vector<frames::Frame> drive = Drive(4.0);
   for (const std::size_t moment : {std::size_t{1}, drive.size() / 3, drive.size() - 5}) {
     const auto first = Create();
     Listening::Output before;
-    for (std::size_t i = 0; i < moment; ++i) first->Process(drive[i], before);
+    for (std::size_t i = 0; i < moment; ++i) Process(*first, drive[i], before);
     const std::string state = first->SaveState();
     const auto second = Create();
     ASSERT_TRUE(second->RestoreState(state).ok());
     Listening::Output a;
     Listening::Output b;
     for (std::size_t i = moment; i < drive.size(); ++i) {
-      first->Process(drive[i], a);
-      second->Process(drive[i], b);
+      Process(*first, drive[i], a);
+      Process(*second, drive[i], b);
     }
     first->Finish(a);
     second->Finish(b);
@@ -160,7 +250,7 @@ TEST_F(ListeningTest, WithoutLidarThereIsNoEvidenceAndAWarning) {
   const auto listening = Create();
   Listening::Output output;
   for (const frames::Frame& frame : Drive(3.0)) {
-    if (!std::holds_alternative<frames::LidarScan>(frame)) listening->Process(frame, output);
+    if (!std::holds_alternative<frames::LidarScan>(frame)) Process(*listening, frame, output);
   }
   listening->Finish(output);
   EXPECT_TRUE(output.scans.empty());
@@ -174,9 +264,9 @@ TEST_F(ListeningTest, OdometryThatRunsBackwardsIsCountedAndLeftOut) {
   const auto listening = Create();
   Listening::Output output;
   const std::vector<frames::Frame> drive = Drive(2.0);
-  for (const frames::Frame& frame : drive) listening->Process(frame, output);
+  for (const frames::Frame& frame : drive) Process(*listening, frame, output);
   const std::size_t scans = output.scans.size();
-  for (const frames::Frame& frame : drive) listening->Process(frame, output);
+  for (const frames::Frame& frame : drive) Process(*listening, frame, output);
   listening->Finish(output);
   EXPECT_EQ(listening->counters().backward_odometry, 40);
   EXPECT_LE(output.scans.size(), scans + 8);  // those that waited, not the drive again

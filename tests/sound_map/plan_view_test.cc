@@ -34,5 +34,24 @@ TEST(PlanView, APlanWhoseCellsDoNotFitIsRefused) {
   EXPECT_TRUE(RenderPlanView(*map->TakeSnapshot(), plan, {}).ok());
 }
 
+// From the header of the PNG.
+int WidthOf(const std::string& png) {
+  int width = 0;
+  for (int i = 16; i < 20; ++i) width = width << 8 | static_cast<unsigned char>(png[i]);
+  return width;
+}
+
+TEST(PlanView, AFloorPlanAloneHasNoLegendOfTheSound) {
+  const auto map = SoundMap::Create(DefaultConfig()).value();
+  PlanImage plan;
+  plan.width = 10;
+  plan.height = 10;
+  plan.cells.assign(100, 1);
+  const auto with = RenderPlanView(*map->TakeSnapshot(), plan, {});
+  const auto alone = RenderPlanView(*map->TakeSnapshot(), plan, {}, {.floor_plan_only = true});
+  ASSERT_TRUE(with.ok() && alone.ok());
+  EXPECT_LT(WidthOf(*alone), WidthOf(*with) - 300);
+}
+
 }  // namespace
 }  // namespace soundmap::sound_map

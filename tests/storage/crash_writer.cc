@@ -39,7 +39,7 @@ absl::Status Run(const std::string& data_dir) {
     if (!durable.ok()) return durable.status();
     if (!Tell(static_cast<std::uint64_t>(*durable))) return absl::OkStatus();
 
-    Commit commit{id.site, id.session, *durable, {}, {}, StateAt(*durable)};
+    Commit commit{id.site, id.session, *durable, *durable, {}, {}, StateAt(*durable)};
     for (; processed < *durable; ++processed) {
       if (processed % 3 == 0) commit.journal.push_back(EntryAt(processed));
     }

@@ -94,7 +94,7 @@ TEST_P(DiskFull, StopsTheDatabaseAndPasses) {
     ASSERT_TRUE(log->Append(FrameAt(offset)).ok());
   }
   ASSERT_EQ(log->Sync().value(), 100);
-  Commit commit{"hall", "drive", 100, {EntryAt(3)}, {}, StateAt(100)};
+  Commit commit{"hall", "drive", 100, 100, {EntryAt(3)}, {}, StateAt(100)};
   ASSERT_TRUE(store->CommitBatch(commit).ok());
   ASSERT_TRUE(store->PutRecord(Table::kSite, "hall", "before").ok());
 

@@ -17,6 +17,7 @@ struct Model {
     std::int64_t received = 0;
     std::int64_t durable = 0;
     std::int64_t processed = 0;
+    std::int64_t heard = 0;
     std::optional<std::int64_t> state_offset;
     std::map<std::int64_t, std::string> poses;
   };
@@ -67,9 +68,12 @@ class StoreModel : public ::testing::TestWithParam<int> {
     Model::Site& site = model_.sites[id.site];
     Model::Session& session = site.sessions[id.session];
     const std::int64_t backlog = session.durable - session.processed;
-    Commit commit{id.site, id.session, 0, {}, {}, {}};
+    Commit commit{id.site, id.session, 0, 0, {}, {}, {}};
     commit.processed_offset = session.processed + static_cast<std::int64_t>(Draw(backlog + 1));
-    for (std::int64_t offset = session.processed; offset < commit.processed_offset; ++offset) {
+    // A lost robot's sound waits; later commits bring it.
+    commit.heard_offset = session.heard + static_cast<std::int64_t>(
+                                              Draw(commit.processed_offset - session.heard + 1));
+    for (std::int64_t offset = session.heard; offset < commit.heard_offset; ++offset) {
       if (Draw(4) != 0) continue;
       commit.journal.push_back(EntryAt(offset));
       site.journal.emplace_back(id.session, offset);
@@ -82,6 +86,7 @@ class StoreModel : public ::testing::TestWithParam<int> {
       session.state_offset = commit.processed_offset;
     }
     session.processed = commit.processed_offset;
+    session.heard = commit.heard_offset;
     ASSERT_EQ(store_->CommitBatch(commit).value(), site.journal.size());
   }
 
@@ -152,6 +157,7 @@ class StoreModel : public ::testing::TestWithParam<int> {
 
   void CompareSession(const SessionId& id, const Model::Session& session) {
     ASSERT_EQ(store_->ProcessedOffset(id).value(), session.processed);
+    ASSERT_EQ(store_->HeardOffset(id).value(), session.heard);
     const auto state = store_->LatestState(id).value();
     ASSERT_EQ(state.has_value(), session.state_offset.has_value());
     if (state) {

@@ -29,7 +29,7 @@ void Drive(Store* store, const SessionId& id, std::int64_t end) {
     ASSERT_TRUE(log->Append(FrameAt(offset)).ok());
   }
   ASSERT_TRUE(log->Sync().ok());
-  Commit commit{id.site, id.session, end, {}, {}, StateAt(end)};
+  Commit commit{id.site, id.session, end, end, {}, {}, StateAt(end)};
   for (std::int64_t offset = store->ProcessedOffset(id).value(); offset < end; ++offset) {
     if (offset % 10 != 0) continue;
     commit.journal.push_back(EntryAt(offset));
@@ -155,7 +155,7 @@ TEST(Store, CommitsCountOnce) {
   const std::string folder = EmptyFolder("once");
   auto store = OpenStore(folder);
   const SessionId id{"hall", "drive"};
-  const auto early = store->CommitBatch({"hall", "drive", 1, {}, {}, {}});
+  const auto early = store->CommitBatch({"hall", "drive", 1, 1, {}, {}, {}});
   EXPECT_TRUE(absl::IsFailedPrecondition(early.status())) << "nothing is durable";
   Drive(store.get(), id, 30);
   EXPECT_EQ(JournalOffsets(*store, "hall"), (std::vector<std::int64_t>{0, 10, 20}));
@@ -163,26 +163,50 @@ TEST(Store, CommitsCountOnce) {
   const auto refused = [&](const Commit& commit) {
     EXPECT_TRUE(absl::IsFailedPrecondition(store->CommitBatch(commit).status()));
   };
-  refused({"hall", "drive", 29, {}, {}, {}});
-  refused({"hall", "drive", 31, {}, {}, {}});
-  refused({"hall", "drive", 30, {EntryAt(20)}, {}, {}});
+  refused({"hall", "drive", 29, 29, {}, {}, {}});
+  refused({"hall", "drive", 31, 31, {}, {}, {}});
+  refused({"hall", "drive", 30, 30, {EntryAt(20)}, {}, {}});
   auto log = store->OpenSession(id).value();
   for (std::int64_t offset = 30; offset < 40; ++offset) {
     ASSERT_TRUE(log->Append(FrameAt(offset)).ok());
   }
-  refused({"hall", "drive", 40, {}, {}, {}});
+  refused({"hall", "drive", 40, 40, {}, {}, {}});
   ASSERT_TRUE(log->Sync().ok());
-  refused({"hall", "drive", 40, {EntryAt(29)}, {}, {}});
-  refused({"hall", "drive", 40, {EntryAt(40)}, {}, {}});
+  refused({"hall", "drive", 40, 40, {EntryAt(29)}, {}, {}});
+  refused({"hall", "drive", 40, 40, {EntryAt(40)}, {}, {}});
   EXPECT_TRUE(absl::IsInvalidArgument(
-      store->CommitBatch({"hall", "drive", 40, {}, {}, StateAt(41)}).status()));
+      store->CommitBatch({"hall", "drive", 40, 40, {}, {}, StateAt(41)}).status()));
   EXPECT_EQ(store->LastSequence("hall").value(), 3u);
   EXPECT_EQ(store->ProcessedOffset(id).value(), 30);
 
-  EXPECT_EQ(store->CommitBatch({"hall", "drive", 40, {EntryAt(39)}, {}, {}}).value(), 4u);
+  EXPECT_EQ(store->CommitBatch({"hall", "drive", 40, 40, {EntryAt(39)}, {}, {}}).value(), 4u);
   ASSERT_TRUE(store->CloseSession(id).ok());
-  EXPECT_EQ(store->CommitBatch({"hall", "drive", 40, {}, {}, StateAt(40)}).value(), 4u);
-  refused({"hall", "drive", 41, {}, {}, {}});
+  EXPECT_EQ(store->CommitBatch({"hall", "drive", 40, 40, {}, {}, StateAt(40)}).value(), 4u);
+  refused({"hall", "drive", 41, 41, {}, {}, {}});
+}
+
+TEST(Store, WhatALostRobotHeardIsCountedLater) {
+  auto store = OpenStore(EmptyFolder("later"));
+  const SessionId id{"hall", "drive"};
+  Drive(store.get(), id, 10);
+  auto log = store->OpenSession(id).value();
+  for (std::int64_t offset = 10; offset < 50; ++offset) {
+    ASSERT_TRUE(log->Append(FrameAt(offset)).ok());
+  }
+  ASSERT_TRUE(log->Sync().ok());
+  const auto refused = [&](const Commit& commit) {
+    EXPECT_TRUE(absl::IsFailedPrecondition(store->CommitBatch(commit).status()));
+  };
+  ASSERT_TRUE(store->CommitBatch({"hall", "drive", 50, 10, {}, {}, {}}).ok());
+  EXPECT_EQ(store->ProcessedOffset(id).value(), 50);
+  EXPECT_EQ(store->HeardOffset(id).value(), 10);
+  refused({"hall", "drive", 50, 9, {}, {}, {}});
+  refused({"hall", "drive", 50, 51, {}, {}, {}});
+  refused({"hall", "drive", 50, 30, {EntryAt(30)}, {}, {}});
+  refused({"hall", "drive", 50, 30, {EntryAt(9)}, {}, {}});
+  ASSERT_TRUE(store->CommitBatch({"hall", "drive", 50, 30, {EntryAt(10)}, {}, {}}).ok());
+  ASSERT_TRUE(store->CommitBatch({"hall", "drive", 50, 50, {EntryAt(30)}, {}, {}}).ok());
+  EXPECT_EQ(JournalOffsets(*store, "hall"), (std::vector<std::int64_t>{0, 10, 30}));
 }
 
 TEST(Store, TheJournalIsReadByTimeToo) {
@@ -194,7 +218,7 @@ TEST(Store, TheJournalIsReadByTimeToo) {
     ASSERT_TRUE(log->Append(FrameAt(offset)).ok());
   }
   ASSERT_TRUE(log->Sync().ok());
-  Commit commit{"hall", "drive", 8, {}, {}, {}};
+  Commit commit{"hall", "drive", 8, 8, {}, {}, {}};
   // An older recording may follow a newer one, and times may lie before 1970.
   const std::vector<std::int64_t> stamps = {50, -30, 20, 50, 10, 60, -30};
   for (std::size_t i = 0; i < stamps.size(); ++i) {
@@ -252,8 +276,8 @@ TEST(Store, SitesDoNotSeeEachOtherAndGoAlone) {
     ASSERT_TRUE(log->Append(FrameAt(20)).ok());
     ASSERT_TRUE(store->DeleteSite("hall").ok());
     EXPECT_TRUE(absl::IsFailedPrecondition(log->Append(FrameAt(21)).status()));
-    EXPECT_TRUE(
-        absl::IsFailedPrecondition(store->CommitBatch({"hall", "drive", 20, {}, {}, {}}).status()));
+    EXPECT_TRUE(absl::IsFailedPrecondition(
+        store->CommitBatch({"hall", "drive", 20, 20, {}, {}, {}}).status()));
   }
   auto store = OpenStore(folder);
   for (const std::string& site : sites) {

@@ -35,11 +35,6 @@ class DurabilityTest(ProgramTest):
         self.ok(server, "soundmap-robot", *self.replay_arguments(DRIVES / "short.mcap"), "--new-session")
         self.assertNotEqual(self.full_map(server), voxels)
 
-    def processed(self, server):
-        sessions = self.sessions(server)
-        sessions = sessions["sessions"] if isinstance(sessions, dict) else sessions
-        return sum(int(s["processed"]) for s in sessions if not s["robot"].endswith("mapper"))
-
     def test_kill_at_five_moments_of_a_drive(self):
         server = self.server("undisturbed")
         self.make_site(server)
@@ -50,20 +45,7 @@ class DurabilityTest(ProgramTest):
 
         server = self.server("killed")
         self.make_site(server)
-        interrupted = 0
-        for moment in range(1, 6):
-            # At a pace, so that the frames do not run ahead of what is processed.
-            robot = start(server, "soundmap-robot", *self.replay_arguments(DRIVE, speed="8"), "--connect-timeout", "5")
-            while self.processed(server) < frames * moment / 8 and robot.poll() is None:
-                pass
-            interrupted += robot.poll() is None
-            server.kill()
-            robot.terminate()
-            robot.communicate()
-            server = self.server("killed")
-        self.assertGreaterEqual(interrupted, 3)
-        self.replay(server, DRIVE)
-        self.assertEqual(self.processed(server), frames)
+        server = self.replay_while_killing(server, frames, self.replay_arguments(DRIVE, speed="8"))
         self.assertEqual(self.full_map(server), voxels)
         self.assertEqual(self.sources_json(server), sources)
 

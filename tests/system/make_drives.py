@@ -38,6 +38,13 @@ def main():
     simulate("grill_room", "short", "--seconds", "8")
     simulate(scene_with("fast_audio", audio={"sample_rate_hz": 48000}), "fast_audio", "--seconds", "6")
     simulate(scene_with("drifting_clock", audio={"clock_drift_ppm": 50}), "drifting_clock", "--seconds", "8")
+    # An office, which looks the same from no two places.
+    simulate("office", "office_mapping", "--mapping")
+    simulate("office", "office", "--seconds", "40")
+    alter("office", "kidnapped:12:19")
+    alter("office_mapping", "no_lidar")
+    alter("office_mapping", "until:30")
+    alter("office_mapping", "from:20")
     for change in ("no_audio", "microphones:0", "microphones:3", "nan_ranges", "invalid_lidar", "backwards",
                    "dead_microphone"):
         alter("short", change)

@@ -22,6 +22,7 @@ class Server:
     """A soundmap-server on a data folder; `address` once it serves."""
 
     def __init__(self, data_dir, *arguments, preexec=None):
+        self.data_dir = pathlib.Path(data_dir)
         self.log_path = pathlib.Path(str(data_dir) + ".log")
         self.log = open(self.log_path, "ab")
         self.process = subprocess.Popen(
@@ -118,13 +119,13 @@ class ProgramTest(unittest.TestCase):
                 "--purpose", "mapping", "--speed", "max", f"--initial-pose={start_pose(mapping)}")
         self.ok(server, "soundmap", "map", "build", site)
 
-    def replay_arguments(self, drive, site="site", robot="robot", pose_of=None, speed="max"):
-        return ["replay", drive, "--site", site, "--robot", robot, "--speed", speed,
-                f"--initial-pose={start_pose(pose_of or drive)}"]
+    def replay_arguments(self, drive, site="site", robot="robot", pose_of=None, speed="max", unknown_start=False):
+        start = [] if unknown_start else [f"--initial-pose={start_pose(pose_of or drive)}"]
+        return ["replay", drive, "--site", site, "--robot", robot, "--speed", speed, *start]
 
-    def replay(self, server, drive, site="site", robot="robot", pose_of=None):
+    def replay(self, server, drive, site="site", robot="robot", pose_of=None, unknown_start=False):
         return self.ok(server, "soundmap-robot",
-                       *self.replay_arguments(drive, site, robot, pose_of))
+                       *self.replay_arguments(drive, site, robot, pose_of, unknown_start=unknown_start))
 
     def sources_json(self, server, site="site"):
         return self.ok(server, "soundmap", "sources", site, "--format", "json")
@@ -140,3 +141,30 @@ class ProgramTest(unittest.TestCase):
 
     def sessions(self, server, site="site"):
         return json.loads(self.ok(server, "soundmap", "sessions", site, "--format", "json"))
+
+    def session_list(self, server, site="site"):
+        """The listening drives."""
+        sessions = self.sessions(server, site)
+        sessions = sessions["sessions"] if isinstance(sessions, dict) else sessions
+        return [session for session in sessions if not session["robot"].endswith("mapper")]
+
+    def processed(self, server):
+        return sum(int(session["processed"]) for session in self.session_list(server))
+
+    def replay_while_killing(self, server, frames, arguments):
+        """Replays a drive of so many frames through five crashes of the server; returns the last server."""
+        interrupted = 0
+        for moment in range(1, 6):
+            # At a pace, so that the frames do not run ahead of what is processed.
+            robot = start(server, "soundmap-robot", *arguments, "--connect-timeout", "5")
+            while self.processed(server) < frames * moment / 8 and robot.poll() is None:
+                pass
+            interrupted += robot.poll() is None
+            server.kill()
+            robot.terminate()
+            robot.communicate()
+            server = self.server(server.data_dir.name)
+        self.assertGreaterEqual(interrupted, 3)
+        self.ok(server, "soundmap-robot", *arguments)
+        self.assertEqual(self.processed(server), frames)
+        return server

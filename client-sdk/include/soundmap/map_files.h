@@ -12,9 +12,12 @@ namespace soundmap {
 
 struct BuildMapRequest {
   std::string site;
-  std::string session;  // empty: the newest mapping session
+  // The first fixes the map frame. Empty: all mapping sessions of the site, oldest first; with
+  // surveyed poses the newest; with `extend` those that are not in the map yet.
+  std::vector<std::string> sessions;
   // Surveyed poses to use instead of registration, oldest first.
   std::vector<StampedPose> surveyed_poses;
+  bool extend = false;  // the present map, its frame and surfaces stay; the sessions are added
 };
 
 enum class ExportWhat { kSound, kGeometry, kFloorPlan };
