@@ -32,6 +32,15 @@ def read(folder):
     return {name: document for name, document in documents.items() if document["benchmarks"]}
 
 
+def group_and_method(name):
+    """Google Benchmark appends the arguments: a/ours/200/60 is the method `ours` of a/200/60."""
+    parts = name.split("/")
+    last = len(parts)
+    while last > 1 and parts[last - 1].rpartition(":")[2].isdigit():
+        last -= 1
+    return "/".join(parts[:last - 1] + parts[last:]), parts[last - 1]
+
+
 def medians(documents):
     """{group: {method: entry}}, in the order of the programs and of their benchmarks."""
     groups = {}
@@ -41,7 +50,7 @@ def medians(documents):
             if "error_occurred" in entry:
                 sys.exit(f"{entry['name']}: {entry.get('error_message')}")
             if entry.get("aggregate_name") == "median":
-                group, _, method = entry["run_name"].rpartition("/")
+                group, method = group_and_method(entry["run_name"])
                 groups.setdefault(group, {})[method] = entry
     return groups
 
