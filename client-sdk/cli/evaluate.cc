@@ -86,6 +86,7 @@ absl::Status CheckPath(const std::vector<PoseEstimate>& path) {
 
 PoseTrack TrackOf(const std::vector<PoseEstimate>& path) {
   std::vector<StampedPose> poses;
+  poses.reserve(path.size());
   for (const PoseEstimate& pose : path) poses.push_back({pose.time_ns, pose.map_from_base});
   return PoseTrack(std::move(poses));
 }

@@ -56,7 +56,8 @@ grpc::ChannelArguments Arguments(const ClientOptions& options) {
 
 }  // namespace
 
-Client::Connection::Connection(const ClientOptions& options, std::shared_ptr<grpc::Channel> channel)
+Client::Connection::Connection(const ClientOptions& options,
+                               const std::shared_ptr<grpc::Channel>& channel)
     : options(options),
       sites(v1::SiteService::NewStub(channel)),
       maps(v1::MapService::NewStub(channel)),

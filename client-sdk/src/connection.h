@@ -26,7 +26,7 @@ class Client::Connection {
  public:
   enum class Repeat { kNever, kOnUnavailable };
 
-  Connection(const ClientOptions& options, std::shared_ptr<grpc::Channel> channel);
+  Connection(const ClientOptions& options, const std::shared_ptr<grpc::Channel>& channel);
 
   // A context with the token and, if `timeout` is positive, a deadline that far from now.
   void Prepare(grpc::ClientContext& context, std::chrono::milliseconds timeout) const;

@@ -15,7 +15,7 @@ bool MayComeBack(const grpc::Status& status) {
          status.error_code() == grpc::StatusCode::CANCELLED;
 }
 
-void WaitUnlessStopped(std::chrono::milliseconds time, std::stop_token stop) {
+void WaitUnlessStopped(std::chrono::milliseconds time, const std::stop_token& stop) {
   std::mutex mutex;
   std::unique_lock lock(mutex);
   std::condition_variable_any stopped;

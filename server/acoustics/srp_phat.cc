@@ -45,14 +45,14 @@ void Store(float* p, Float4 value) { std::memcpy(p, &value, sizeof(value)); }
 
 // Rows to columns.
 void Transpose(Float4& a, Float4& b, Float4& c, Float4& d) {
-  const Float4 ab_low = __builtin_shuffle(a, b, Int4{0, 4, 1, 5});
-  const Float4 ab_high = __builtin_shuffle(a, b, Int4{2, 6, 3, 7});
-  const Float4 cd_low = __builtin_shuffle(c, d, Int4{0, 4, 1, 5});
-  const Float4 cd_high = __builtin_shuffle(c, d, Int4{2, 6, 3, 7});
-  a = __builtin_shuffle(ab_low, cd_low, Int4{0, 1, 4, 5});
-  b = __builtin_shuffle(ab_low, cd_low, Int4{2, 3, 6, 7});
-  c = __builtin_shuffle(ab_high, cd_high, Int4{0, 1, 4, 5});
-  d = __builtin_shuffle(ab_high, cd_high, Int4{2, 3, 6, 7});
+  const Float4 ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5);
+  const Float4 ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+  const Float4 cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5);
+  const Float4 cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+  a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
+  b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
+  c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
+  d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
 }
 
 // The cubic in t = 0 .. 1 between taps kTapsBefore and kTapsBefore + 1 that follows every e^{j

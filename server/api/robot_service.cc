@@ -21,6 +21,7 @@ std::vector<pipeline::RobotInfo> AllRobots(const pipeline::Sites& sites) {
     }
   }
   std::vector<pipeline::RobotInfo> robots;
+  robots.reserve(newest.size());
   for (auto& [name, robot] : newest) robots.push_back(std::move(robot));
   return robots;
 }

@@ -14,7 +14,7 @@ enum class Cell : std::uint8_t { kUnknown = 0, kFree = 1, kOccupied = 2 };
 class FloorPlan {
  public:
   FloorPlan() = default;
-  FloorPlan(int width, int height, double cell_size_m, Eigen::Vector2d origin_in_map_m)
+  FloorPlan(int width, int height, double cell_size_m, const Eigen::Vector2d& origin_in_map_m)
       : width_(width),
         height_(height),
         cell_size_m_(cell_size_m),

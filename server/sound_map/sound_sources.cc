@@ -99,6 +99,7 @@ std::vector<SoundSource> FindByKMeans(const Snapshot& snapshot, const SoundSourc
                    [](const auto& a, const auto& b) { return a.value > b.value; });
   if (maxima.size() > static_cast<std::size_t>(config.max_seeds)) maxima.resize(config.max_seeds);
   std::vector<Eigen::Vector3d> seeds;
+  seeds.reserve(maxima.size());
   for (const LocalMaximum& maximum : maxima) {
     seeds.push_back(
         (maximum.centroid_key + Eigen::Vector3d::Constant(0.5 - geometry::VoxelKey::kCentre)) *

@@ -83,7 +83,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
 
 class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
  public:
-  Listener(asio::any_io_executor executor, IsReady is_ready)
+  Listener(const asio::any_io_executor& executor, IsReady is_ready)
       : acceptor_(asio::make_strand(executor)), is_ready_(std::move(is_ready)) {}
 
   beast::error_code Open(const tcp::endpoint& endpoint) {
@@ -118,9 +118,8 @@ class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
   const IsReady is_ready_;
 };
 
-absl::StatusOr<std::unique_ptr<HttpGateway>> HttpGateway::Start(asio::any_io_executor executor,
-                                                                const std::string& address,
-                                                                IsReady is_ready) {
+absl::StatusOr<std::unique_ptr<HttpGateway>> HttpGateway::Start(
+    const asio::any_io_executor& executor, const std::string& address, IsReady is_ready) {
   const std::size_t colon = address.rfind(':');
   int port = -1;
   beast::error_code error;

@@ -16,9 +16,9 @@ class HttpGateway {
  public:
   // `address` is HOST:PORT, port 0 for any. InvalidArgument: not an address; Unavailable: the port
   // cannot be bound.
-  static absl::StatusOr<std::unique_ptr<HttpGateway>> Start(boost::asio::any_io_executor executor,
-                                                            const std::string& address,
-                                                            std::function<bool()> is_ready);
+  static absl::StatusOr<std::unique_ptr<HttpGateway>> Start(
+      const boost::asio::any_io_executor& executor, const std::string& address,
+      std::function<bool()> is_ready);
   // Stops listening; connections that are open end with their present request.
   ~HttpGateway();
 

@@ -43,9 +43,11 @@ absl::StatusOr<std::string> Sha256OfFile(const std::string& path) {
   }
   Sha256 hash;
   std::vector<char> buffer(1 << 18);
-  while (const std::size_t bytes = std::fread(buffer.data(), 1, buffer.size(), file.get())) {
+  std::size_t bytes = 0;
+  do {
+    bytes = std::fread(buffer.data(), 1, buffer.size(), file.get());
     hash.Add(std::string_view(buffer.data(), bytes));
-  }
+  } while (bytes == buffer.size());
   if (std::ferror(file.get()) != 0) {
     return absl::ErrnoToStatus(errno, absl::StrCat("cannot read '", path, "'"));
   }

@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -39,7 +40,8 @@ class Replay : public FrameSource {
                         std::string_view purpose) const;
 
  private:
-  Replay(std::string path, recording::DriveTopics topics) : path_(path), topics_(topics) {}
+  Replay(std::string path, recording::DriveTopics topics)
+      : path_(std::move(path)), topics_(std::move(topics)) {}
   std::optional<Sensor> SensorOf(const std::string& topic) const;
 
   const std::string path_;

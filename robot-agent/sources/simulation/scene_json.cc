@@ -320,8 +320,9 @@ void CheckPath(const Scene& scene, JsonErrors& errors) {
   double height_m = 0.0;
   for (const auto& [field, position] : sensors) height_m = std::max(height_m, position.z());
   const double step_s = std::max(0.05, trajectory->duration_s() / 20000);
-  for (double time_s = 0.0; time_s <= trajectory->duration_s(); time_s += step_s) {
-    const auto pose = trajectory->At(time_s);
+  const int steps = static_cast<int>(trajectory->duration_s() / step_s);
+  for (int i = 0; i <= steps; ++i) {
+    const auto pose = trajectory->At(i * step_s);
     const Eigen::Isometry3d map_from_base = pose.map_from_base();
     const auto place = absl::StrFormat("near (%.2f, %.2f)", pose.x_m, pose.y_m);
     for (const auto& [field, position] : sensors) {

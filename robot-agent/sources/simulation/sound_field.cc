@@ -342,9 +342,11 @@ absl::Status SoundFieldImpl::Prepare() {
   }
 
   const double spacing_s = std::max(kListenerSpacingS, trajectory_.duration_s() / kMostListeners);
-  for (double time_s = 0.0; time_s <= trajectory_.duration_s(); time_s += spacing_s) {
+  const int spacings = static_cast<int>(trajectory_.duration_s() / spacing_s);
+  for (int i = 0; i <= spacings; ++i) {
     listeners_m.push_back(
-        (trajectory_.At(time_s).map_from_base() * scene_.array.base_from_array).translation());
+        (trajectory_.At(i * spacing_s).map_from_base() * scene_.array.base_from_array)
+            .translation());
   }
   const auto energy = TailEnergy(scene_, sample_rate_hz_, sources_m, listeners_m);
   double total = 0.0;

@@ -360,7 +360,6 @@ absl::StatusOr<std::unique_ptr<Sound>> MakeSound(const SourceConfig& source, int
 double CrestFactor(SoundKind kind) {
   switch (kind) {
     case SoundKind::kSpeech:
-      return 9.0;
     case SoundKind::kWav:
       return 9.0;
     case SoundKind::kClick:

@@ -1,0 +1,164 @@
+#include <benchmark/benchmark.h>
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+#include <nanoflann.hpp>
+#include <random>
+#include <vector>
+
+#include "acoustics/config.h"
+#include "geometry/angles.h"
+#include "ray_casting/range_index.h"
+#include "tests/benchmark/require.h"
+#include "tests/benchmark/room.h"
+
+// Section V for one audio scan: the LIDAR points by direction as seen from the array, then the
+// nearest point of each candidate direction.
+namespace soundmap::benchmarks {
+namespace {
+
+using Points = std::vector<Eigen::Vector3f>;
+using Directions = std::vector<Eigen::Vector3d>;
+
+constexpr double kMaxAngle_rad = geometry::RadFromDeg(3.0);
+constexpr int kNone = -1;
+
+struct Scene {
+  Points points;
+  Eigen::Vector3d origin{0.1, 0.0, 0.3};
+  Directions directions;
+};
+
+Scene MakeScene(const geometry::DirectionGrid& grid) {
+  std::mt19937_64 random(1);
+  return {.points = LidarPoints(MapFromSensor(1, 7), random),
+          .directions = {grid.begin(), grid.end()}};
+}
+
+// The v_L(j) of the points.
+std::vector<std::array<float, 3>> UnitVectors(const Scene& scene) {
+  std::vector<std::array<float, 3>> unit;
+  unit.reserve(scene.points.size());
+  for (const Eigen::Vector3f& point : scene.points) {
+    const Eigen::Vector3f v = (point - scene.origin.cast<float>()).normalized();
+    unit.push_back({v.x(), v.y(), v.z()});
+  }
+  return unit;
+}
+
+std::vector<int> Ours(const Scene& scene) {
+  const ray_casting::RangeIndex index(scene.points, scene.origin, kMaxAngle_rad);
+  std::vector<int> nearest;
+  nearest.reserve(scene.directions.size());
+  for (const Eigen::Vector3d& direction : scene.directions) {
+    const auto hit = index.Nearest(direction);
+    nearest.push_back(hit ? hit->point : kNone);
+  }
+  return nearest;
+}
+
+struct Cloud {
+  std::vector<std::array<float, 3>> points;
+  std::size_t kdtree_get_point_count() const { return points.size(); }
+  float kdtree_get_pt(std::size_t point, std::size_t axis) const { return points[point][axis]; }
+  template <typename Box>
+  bool kdtree_get_bbox(Box&) const {
+    return false;
+  }
+};
+
+std::vector<int> KdTree(const Scene& scene) {
+  using Tree =
+      nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3>;
+  const Cloud cloud{UnitVectors(scene)};
+  const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(10));
+  const double chord = 2.0 * std::sin(0.5 * kMaxAngle_rad);
+  std::vector<int> nearest;
+  nearest.reserve(scene.directions.size());
+  for (const Eigen::Vector3d& direction : scene.directions) {
+    const Eigen::Vector3f query = direction.cast<float>();
+    std::uint32_t point = 0;
+    float distance2 = 0.0f;
+    const bool found =
+        tree.knnSearch(query.data(), 1, &point, &distance2) == 1 && distance2 < chord * chord;
+    nearest.push_back(found ? static_cast<int>(point) : kNone);
+  }
+  return nearest;
+}
+
+// The largest of all products v_L . v_a, as a matrix product.
+std::vector<int> BruteForce(const Scene& scene) {
+  constexpr Eigen::Index kBlock = 2048;  // products of one direction that stay in the cache
+  const std::vector<std::array<float, 3>> unit = UnitVectors(scene);
+  const Eigen::Map<const Eigen::Matrix3Xf> v_l(unit.front().data(), 3,
+                                               static_cast<Eigen::Index>(unit.size()));
+  std::vector<int> nearest;
+  nearest.reserve(scene.directions.size());
+  Eigen::VectorXf dot;
+  for (const Eigen::Vector3d& direction : scene.directions) {
+    const Eigen::Vector3f v_a = direction.cast<float>();
+    auto best = static_cast<float>(std::cos(kMaxAngle_rad));
+    Eigen::Index point = kNone;
+    for (Eigen::Index first = 0; first < v_l.cols(); first += kBlock) {
+      const Eigen::Index count = std::min(kBlock, v_l.cols() - first);
+      dot.noalias() = v_l.middleCols(first, count).transpose() * v_a;
+      if (!(dot.maxCoeff() > best)) continue;
+      Eigen::Index place = 0;
+      best = dot.maxCoeff(&place);
+      point = first + place;
+    }
+    nearest.push_back(static_cast<int>(point));
+  }
+  return nearest;
+}
+
+// Points at one angle are as good as each other: the angles must agree to float precision.
+void RequireAgreement(const Scene& scene, const std::vector<int>& found, const char* what) {
+  const std::vector<int> ours = Ours(scene);
+  int differences = 0;
+  for (std::size_t i = 0; i < ours.size(); ++i) {
+    const auto angle_rad = [&](int point) {
+      if (point == kNone) return kMaxAngle_rad;
+      const Eigen::Vector3d v = scene.points[point].cast<double>() - scene.origin;
+      return std::atan2(v.cross(scene.directions[i]).norm(), v.dot(scene.directions[i]));
+    };
+    constexpr double kFloat_rad = 1e-3;  // the products of floats tell angles no better near 0
+    differences += std::abs(angle_rad(ours[i]) - angle_rad(found[i])) > kFloat_rad;
+  }
+  Require(differences == 0, what);
+}
+
+void Run(benchmark::State& state, const Scene& scene, std::vector<int> (*method)(const Scene&)) {
+  for (auto _ : state) benchmark::DoNotOptimize(method(scene));
+  state.SetItemsProcessed(static_cast<std::int64_t>(state.iterations() * scene.directions.size()));
+}
+
+void Register(const char* directions, const geometry::DirectionGrid& grid) {
+  const auto scene = std::make_shared<const Scene>(MakeScene(grid));
+  RequireAgreement(*scene, KdTree(*scene), "the k-d tree finds other points");
+  RequireAgreement(*scene, BruteForce(*scene), "brute force finds other points");
+  const std::string group = std::string("range_lookup/") + directions + "/";
+  for (const auto& [method, run] :
+       {std::pair("ours", &Ours), {"nanoflann", &KdTree}, {"brute_force", &BruteForce}}) {
+    benchmark::RegisterBenchmark((group + method).c_str(), [scene,
+                                                            run = run](benchmark::State& state) {
+      Run(state, *scene, run);
+    })->Unit(benchmark::kMillisecond);
+  }
+}
+
+}  // namespace
+}  // namespace soundmap::benchmarks
+
+int main(int argc, char** argv) {
+  using soundmap::acoustics::AcousticsConfig;
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
+  soundmap::benchmarks::Register("paper_4636", AcousticsConfig::Paper().MakeGrid());
+  soundmap::benchmarks::Register("default_10313", AcousticsConfig::Default().MakeGrid());
+  benchmark::RunSpecifiedBenchmarks();
+  return 0;
+}

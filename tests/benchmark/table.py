@@ -1,0 +1,155 @@
+#!/usr/bin/env python3
+"""Puts our figures beside those of the peer methods of the same run.
+
+usage: table.py RUN                 print the table of a run
+       table.py RUN --keep KEPT     and keep the run: its files, and the table in KEPT/README.md
+       table.py RUN --check KEPT    and fail when we lead a peer by much less than in the run kept
+
+RUN and KEPT are folders of Google Benchmark's JSON files, a program each. A benchmark's name is
+GROUP/METHOD; the method `ours` is compared with every other one of its group. All figures are
+medians over the repetitions, times are CPU times.
+"""
+import argparse
+import json
+import pathlib
+import sys
+
+ALLOWED_LOSS = 0.25  # of a ratio: what a change of machine or a noisy neighbour may cost
+NOT_COUNTERS = {
+    "name", "family_index", "per_family_instance_index", "run_name", "run_type", "repetitions",
+    "threads", "aggregate_name", "aggregate_unit", "iterations", "real_time", "cpu_time",
+    "time_unit", "repetition_index", "label",
+}
+
+
+def read(folder):
+    """{file name: document} of the programs that ran anything."""
+    documents = {}
+    for path in sorted(folder.glob("*.json")):
+        text = path.read_text()
+        if text.strip():
+            documents[path.name] = json.loads(text)
+    return {name: document for name, document in documents.items() if document["benchmarks"]}
+
+
+def group_and_method(name):
+    """Google Benchmark appends the arguments: a/ours/200/60 is the method `ours` of a/200/60."""
+    parts = name.split("/")
+    last = len(parts)
+    while last > 1 and parts[last - 1].rpartition(":")[2].isdigit():
+        last -= 1
+    return "/".join(parts[:last - 1] + parts[last:]), parts[last - 1]
+
+
+def medians(documents):
+    """{group: {method: entry}}, in the order of the programs and of their benchmarks."""
+    groups = {}
+    for document in documents.values():
+        # Interleaved repetitions end in any order.
+        for entry in sorted(document["benchmarks"], key=lambda entry: entry["family_index"]):
+            if "error_occurred" in entry:
+                sys.exit(f"{entry['name']}: {entry.get('error_message')}")
+            if entry.get("aggregate_name") == "median":
+                group, method = group_and_method(entry["run_name"])
+                groups.setdefault(group, {})[method] = entry
+    return groups
+
+
+def in_ms(entry):
+    return entry["cpu_time"] * {"ns": 1e-6, "us": 1e-3, "ms": 1.0, "s": 1e3}[entry["time_unit"]]
+
+
+def ratios(groups):
+    """{(group, peer): how many times as long the peer takes}"""
+    return {
+        (group, method): in_ms(entry) / in_ms(methods["ours"])
+        for group, methods in groups.items() if "ours" in methods
+        for method, entry in methods.items() if method != "ours"
+    }
+
+
+def figures(entry):
+    parts = [f"{in_ms(entry):.3g} ms"]
+    for name, value in entry.items():
+        if name in NOT_COUNTERS or not isinstance(value, (int, float)):
+            continue
+        if name == "items_per_second":
+            parts.append(f"{value / 1e6:.3g} M/s")
+        else:
+            parts.append(f"{name.replace('_', ' ')} {value:.3g}")
+    return ", ".join(parts)
+
+
+def markdown(groups):
+    ratio_of = ratios(groups)
+    rows = [("what", "method", "median", "ours is faster by"), ("---",) * 4]
+    for group, methods in groups.items():
+        order = sorted(methods, key=lambda method: (method != "ours", in_ms(methods[method])))
+        for method in order:
+            ratio = ratio_of.get((group, method))
+            rows.append((group if method == order[0] else "", method, figures(methods[method]),
+                         f"{ratio:.2f}" if ratio else ""))
+    width = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = []
+    for row in rows:
+        fill = "-" if row[0] == "---" else " "
+        lines.append("| " + " | ".join(cell.ljust(w, fill) for cell, w in zip(row, width)) + " |")
+    return "\n".join(lines)
+
+
+def machine(documents):
+    context = next(iter(documents.values()))["context"]
+    return (f"{context.get('cpu', 'unknown processor')}, {context['num_cpus']} cores at "
+            f"{context['mhz_per_cpu']} MHz, {context.get('compiler', 'unknown compiler')}, "
+            f"{context['date'][:10]}")
+
+
+def keep(documents, kept):
+    for name, document in documents.items():
+        for private in ("executable", "host_name"):
+            document["context"].pop(private, None)
+        (kept / name).write_text(json.dumps(document, indent=1) + "\n")
+    page = kept / "README.md"
+    before, begin, rest = page.read_text().partition("<!-- begin table -->\n")
+    _, end, after = rest.partition("<!-- end table -->\n")
+    if not begin or not end:
+        sys.exit(f"{page} has no place for the table")
+    everything = read(kept)
+    table = f"{markdown(medians(everything))}\n\nMachine: {machine(documents)}.\n"
+    page.write_text(before + begin + "\n" + table + "\n" + end + after)
+
+
+def check(groups, kept):
+    now = ratios(groups)
+    lost = False
+    for (group, peer), before in ratios(medians(read(kept))).items():
+        if (group, peer) in now and now[group, peer] < (1.0 - ALLOWED_LOSS) * before:
+            lost = True
+            print(f"{group}: ours is {now[group, peer]:.2f} times as fast as {peer}; "
+                  f"it was {before:.2f}", file=sys.stderr)
+    if not now.keys() & ratios(medians(read(kept))).keys():
+        sys.exit("nothing that was measured is in the run kept")
+    if lost:
+        sys.exit(1)
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__,
+                                        formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("run", type=pathlib.Path)
+    arguments.add_argument("--keep", type=pathlib.Path, metavar="KEPT")
+    arguments.add_argument("--check", type=pathlib.Path, metavar="KEPT")
+    given = arguments.parse_args()
+    documents = read(given.run)
+    if not documents:
+        sys.exit("no benchmark ran")
+    groups = medians(documents)
+    print(markdown(groups))
+    if given.keep:
+        keep(documents, given.keep)
+    if given.check:
+        check(groups, given.check)
+
+
+if __name__ == "__main__":
+    main()
