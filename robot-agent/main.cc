@@ -19,6 +19,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "sources/convert/convert.h"
 #include "sources/replay/replay.h"
 #include "sources/simulation/simulate.h"
 #include "uplink/channel.h"
@@ -285,13 +286,65 @@ void AddSimulate(CLI::App& app, SimulateCommand& command) {
       ->check(CLI::PositiveNumber);
 }
 
+struct ConvertCommand {
+  std::string log;
+  std::string out;
+  std::string truth_frame = "base_link";
+  convert::ConvertOptions options;
+};
+
+absl::Status RunConvert(ConvertCommand& command) {
+  command.options.truth_is_of_laser = command.truth_frame == "laser";
+  const auto result = convert::Convert(command.log, command.out, command.options);
+  if (!result.ok()) return result.status();
+  for (const std::string& warning : result->warnings) {
+    std::fprintf(stderr, "soundmap-robot: warning: %s\n", warning.c_str());
+  }
+  std::printf(
+      "%s: %.1f s, %d scans of %d beams, %d poses of odometry; %d beams without a return (%.2f m "
+      "and more)\n",
+      command.out.c_str(), result->duration_s, static_cast<int>(result->scans), result->beams,
+      static_cast<int>(result->odometry), static_cast<int>(result->no_return_beams),
+      result->no_return_from_m);
+  return result->damage;
+}
+
+void AddConvert(CLI::App& app, ConvertCommand& command) {
+  CLI::App* convert =
+      app.add_subcommand("convert", "Makes a recording of another log: CARMEN's .clf or .log");
+  convert->footer(
+      "The log may be compressed (bzip2, gzip, xz, zstd). The front laser becomes /scan, the "
+      "odometry\n"
+      "/odom. Malformed lines are left out and named. A damaged log is converted up to the damage, "
+      "and\n"
+      "the exit status is 1.");
+  convert->add_option("IN", command.log, "The log")->required();
+  convert->add_option("OUT", command.out, "The recording to write (.mcap)")->required();
+  convert
+      ->add_option("--max-range", command.options.max_range_m,
+                   "Metres; ranges from here on are no return (default: told from the log)")
+      ->check(CLI::PositiveNumber);
+  convert
+      ->add_option("--laser-height", command.options.laser_height_m,
+                   "Metres from the floor to the LRF")
+      ->check(CLI::Range(0.0, 100.0))
+      ->capture_default_str();
+  convert->add_option("--truth", command.options.truth_path,
+                      "Poses timestamp_s,x,y,yaw (CSV) that become /ground_truth/pose");
+  convert->add_option("--truth-frame", command.truth_frame, "What these are the poses of")
+      ->check(CLI::IsMember({"base_link", "laser"}))
+      ->capture_default_str();
+}
+
 int Main(int argc, char** argv) {
   CLI::App app("Sound map: the robot's side");
   app.require_subcommand(1);
   ReplayCommand replay;
   SimulateCommand simulate;
+  ConvertCommand convert;
   AddReplay(app, replay);
   AddSimulate(app, simulate);
+  AddConvert(app, convert);
   try {
     app.parse(argc, argv);
   } catch (const CLI::CallForHelp&) {
@@ -301,8 +354,9 @@ int Main(int argc, char** argv) {
     std::fprintf(stderr, "soundmap-robot: %s\n", error.what());
     return 2;
   }
-  const absl::Status status =
-      app.got_subcommand("replay") ? RunReplay(replay) : RunSimulate(simulate);
+  const absl::Status status = app.got_subcommand("replay")     ? RunReplay(replay)
+                              : app.got_subcommand("simulate") ? RunSimulate(simulate)
+                                                               : RunConvert(convert);
   if (status.ok()) return 0;
   std::fprintf(stderr, "soundmap-robot: %s\n", std::string(status.message()).c_str());
   return 1;

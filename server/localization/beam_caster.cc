@@ -193,11 +193,9 @@ void BeamCaster::Cast(std::span<const Ray> rays, std::span<Return> returns) cons
       for (int g = 0; g < kGroups; ++g) {
         column[g] = __builtin_convertvector(at_x[g], Ints);
         row[g] = __builtin_convertvector(at_y[g], Ints);
-        Ints empty;
-        for (int l = 0; l < kLanes; ++l) {
-          empty[l] =
-              side[g * kLanes + l][static_cast<std::ptrdiff_t>(row[g][l]) * width_ + column[g][l]];
-        }
+        const Ints cell = row[g] * width_ + column[g];
+        const Ints empty = {side[g * kLanes][cell[0]], side[g * kLanes + 1][cell[1]],
+                            side[g * kLanes + 2][cell[2]], side[g * kLanes + 3][cell[3]]};
         const Ints open = empty > 0;
         any |= open;
         const Floats to_x =

@@ -59,6 +59,9 @@ absl::Status Config::Validate() const {
       {"health.fit_tolerance_m", health.fit_tolerance_m, 0.001, 10},
       {"health.fit_tolerance_share", health.fit_tolerance_share, 0, 1},
       {"health.fit_memory", health.fit_memory, 1, 10000},
+      {"health.slow_memory", health.slow_memory, 1, 10000},
+      {"health.usual_share", health.usual_share, 0, 1},
+      {"health.sudden_share", health.sudden_share, 0, 1},
       {"health.lost_fit", health.lost_fit, 0, 1},
       {"health.tracking_fit", health.tracking_fit, health.lost_fit, 1},
       {"health.lost_misfit_m", health.lost_misfit_m, 0, 1e6},
@@ -67,6 +70,41 @@ absl::Status Config::Validate() const {
       {"health.lost_position_std_m", health.lost_position_std_m, 0, 1000},
       {"health.tracking_travel_m", health.tracking_travel_m, 0, 1e6},
       {"health.lost_travel_m", health.lost_travel_m, health.tracking_travel_m, 1e6},
+      {"search.cell_m", search.cell_m, 0.01, 10},
+      {"search.field_std_m", search.field_std_m, 0.01, 10},
+      {"search.yaw_step_rad", search.yaw_step_rad, 0.001, geometry::kPi},
+      {"search.max_range_m", search.max_range_m, 0.1, 200},
+      {"search.sectors", static_cast<double>(search.sectors), 1, 360},
+      {"search.max_points", static_cast<double>(search.max_points), 10, 10000},
+      {"search.max_evaluations", static_cast<double>(search.max_evaluations), 1, 1e8},
+      {"search.max_candidates", static_cast<double>(search.max_candidates), 1, 1000},
+      {"search.min_score", search.min_score, 0, 1},
+      {"search.window_m", search.window_m, 0, 1000},
+      {"search.window_step_m", search.window_step_m, 0.01, 1000},
+      {"search.apart_m", search.apart_m, 0, 100},
+      {"search.apart_rad", search.apart_rad, 0, geometry::kPi},
+      {"search.scatter_m", search.scatter_m, 0, 10},
+      {"search.scatter_rad", search.scatter_rad, 0, geometry::kPi},
+      {"search.hypothesis_particles", static_cast<double>(search.hypothesis_particles), 2, 10000},
+      {"search.max_hypotheses", static_cast<double>(search.max_hypotheses), 1, 1000},
+      {"search.evidence_travel_m", search.evidence_travel_m, 0.1, 1000},
+      {"search.recent_travel_m", search.recent_travel_m, 0.01, 1000},
+      {"search.min_lead", search.min_lead, 0.001, 100},
+      {"search.min_lead_m", search.min_lead_m, 0, 100},
+      {"search.carried_lead_m", search.carried_lead_m, search.min_lead_m, 100},
+      {"search.give_up_margin", search.give_up_margin, search.min_lead, 100},
+      {"search.min_fit", search.min_fit, health.tracking_fit, 1},
+      // More fades away before it is reached.
+      {"search.min_travel_m", search.min_travel_m, 0, 0.9 * search.evidence_travel_m},
+      {"search.max_kept_scans", static_cast<double>(search.max_kept_scans), 1, 100000},
+      {"search.look_back_scans", static_cast<double>(search.look_back_scans), 1, 100000},
+      {"adaptive.min_particles", static_cast<double>(adaptive.min_particles), 2, 100000},
+      {"adaptive.max_particles", static_cast<double>(adaptive.max_particles),
+       static_cast<double>(adaptive.min_particles), 100000},
+      {"adaptive.bin_m", adaptive.bin_m, 0.001, 100},
+      {"adaptive.bin_rad", adaptive.bin_rad, 0.001, geometry::kPi},
+      {"adaptive.max_divergence", adaptive.max_divergence, 1e-4, 10},
+      {"adaptive.quantile", adaptive.quantile, 0, 10},
   };
   for (const Limit& limit : limits) {
     if (!(limit.value >= limit.min && limit.value <= limit.max)) {
@@ -89,6 +127,7 @@ Config DefaultConfig() { return Config(); }
 Config PaperConfig() {
   Config config;
   config.refinement.enabled = false;
+  config.search.enabled = false;
   return config;
 }
 

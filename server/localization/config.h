@@ -48,7 +48,10 @@ struct HealthConfig {
       0.15;  // a beam is explained when it ends this close to where the map says,
   double fit_tolerance_share = 0.02;     // plus this share of its range
   double fit_memory = 5.0;               // corrections over which the scan fit is averaged
+  double slow_memory = 10.0;             // times as many make the slow mean
   double tracking_fit = 0.6;             // below: uncertain
+  double usual_share = 0.85;             // of the slow mean: below, something has changed
+  double sudden_share = 0.7;             // of it, by a single scan
   double lost_fit = 0.4;                 // below: lost, until tracking_fit is reached
   double tracking_position_std_m = 0.3;  // above: uncertain
   double tracking_yaw_std_rad = geometry::RadFromDeg(10.0);
@@ -56,6 +59,57 @@ struct HealthConfig {
   double lost_position_std_m = 1.5;  // above: lost
   double tracking_travel_m = 2.0;    // driven without a correction: above, uncertain
   double lost_travel_m = 15.0;
+};
+
+// How a lost robot looks for its place, see Localizer.
+struct SearchConfig {
+  bool enabled = true;  // otherwise a robot needs a start, and stays lost once it is
+  // The search over the whole plan, see GlobalSearch.
+  double cell_m = 0.1;
+  double field_std_m =
+      0.2;  // of a beam's end: half a cell, half a yaw step at max_range_m, the map
+  double yaw_step_rad = geometry::RadFromDeg(2.0);
+  double max_range_m = 12.0;    // farther ends of beams move too much in half a yaw step
+  int sectors = 8;              // of the circle; one a correction
+  int max_points = 200;         // ends of beams to search with
+  int max_evaluations = 40000;  // of blocks of the plan in a sector: what a correction may cost
+  int max_candidates = 10;      // of a sector
+  double min_score = 0.4;       // worse is no candidate
+  double window_m = 4.0;        // driven: scans to search with and to weigh candidates by; the
+                                // odometry must hold over it
+  double window_step_m = 0.4;   // between two of these scans
+  // The hypotheses, see Hypotheses.
+  double apart_m = 0.6;  // nearer, and turned by less, is the same place
+  double apart_rad = geometry::RadFromDeg(15.0);
+  double scatter_m = 0.1;  // of a new hypothesis
+  double scatter_rad = geometry::RadFromDeg(2.0);
+  int hypothesis_particles = 25;
+  int max_hypotheses = 40;
+  double evidence_travel_m = 3.0;  // over which what a hypothesis explained fades
+  double recent_travel_m = 0.5;    // and what it explained lately
+  // A beam that the map explains is some 7 more likely (logarithm) than one that it does not; a
+  // place wins that leaves a share of them less unexplained than any other, the larger the share
+  // the sooner.
+  double min_lead = 0.14;       // 2 % of the beams, however far it was driven
+  double min_lead_m = 0.35;     // 5 % over 1 m
+  double carried_lead_m = 0.7;  // 10 % over 1 m, before a robot with a place gives it up
+  double give_up_margin = 2.0;  // one that leaves 30 % more is given up
+  double min_fit = 0.75;        // scan fit of the place that wins, and
+  double min_travel_m = 1.5;    // driven with it, fading as above
+  // Scans that are kept to look back with.
+  int max_kept_scans = 2000;  // while lost; the oldest stretch beyond is given up
+  int look_back_scans = 20;   // a correction
+};
+
+// Particle count by KLD sampling, see AdaptiveCount.
+struct AdaptiveConfig {
+  bool enabled = false;  // otherwise Config::particles
+  int min_particles = 100;
+  int max_particles = 2000;
+  double bin_m = 0.1;
+  double bin_rad = geometry::RadFromDeg(5.0);
+  double max_divergence = 0.05;  // Kullback-Leibler, from the true distribution
+  double quantile = 2.33;        // of the normal distribution: kept in 99 of 100 cases
 };
 
 struct Config {
@@ -79,6 +133,8 @@ struct Config {
   BeamModelConfig beam_model;
   RefinementConfig refinement;
   HealthConfig health;
+  SearchConfig search;
+  AdaptiveConfig adaptive;
 
   // InvalidArgument names the parameter.
   absl::Status Validate() const;

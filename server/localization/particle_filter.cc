@@ -1,20 +1,24 @@
 #include "localization/particle_filter.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <set>
 
 #include "geometry/angles.h"
 
 namespace soundmap::localization {
 namespace {
 
-void Normalize(std::vector<Particle>& particles) {
+// Returns the logarithm of the sum that the weights had.
+double Normalize(std::vector<Particle>& particles) {
   double largest = particles.front().log_weight;
   for (const Particle& particle : particles) largest = std::max(largest, particle.log_weight);
   double sum = 0.0;
   for (const Particle& particle : particles) sum += std::exp(particle.log_weight - largest);
   const double log_sum = largest + std::log(sum);
   for (Particle& particle : particles) particle.log_weight -= log_sum;
+  return log_sum;
 }
 
 }  // namespace
@@ -38,8 +42,8 @@ void Predict(const MotionModel& motion, std::vector<Particle>& particles, std::m
   }
 }
 
-void Correct(const std::vector<Beam>& beams, const BeamCaster& caster, const BeamModel& model,
-             double tempering, std::vector<Particle>& particles) {
+double Correct(const std::vector<Beam>& beams, const BeamCaster& caster, const BeamModel& model,
+               double tempering, std::vector<Particle>& particles) {
   const std::size_t count = particles.size();
   std::vector<float> cos_yaw(count);
   std::vector<float> sin_yaw(count);
@@ -67,7 +71,7 @@ void Correct(const std::vector<Beam>& beams, const BeamCaster& caster, const Bea
     for (std::size_t p = 0; p < count; ++p) log_likelihood[p] += row[model.Column(expected[p])];
   }
   for (std::size_t p = 0; p < count; ++p) particles[p].log_weight += tempering * log_likelihood[p];
-  Normalize(particles);
+  return Normalize(particles);
 }
 
 double EffectiveParticles(const std::vector<Particle>& particles) {
@@ -76,21 +80,38 @@ double EffectiveParticles(const std::vector<Particle>& particles) {
   return 1.0 / sum_of_squares;
 }
 
-std::vector<Particle> Resample(const std::vector<Particle>& particles, std::mt19937_64& engine) {
-  const std::size_t count = particles.size();
-  const double step = 1.0 / static_cast<double>(count);
+std::vector<Particle> Resample(const std::vector<Particle>& particles, int count,
+                               std::mt19937_64& engine) {
+  const double step = 1.0 / count;
   double pointer = std::uniform_real_distribution<double>(0.0, step)(engine);
   std::vector<Particle> drawn;
   drawn.reserve(count);
   std::size_t chosen = 0;
   double cumulated = std::exp(particles[0].log_weight);
-  for (std::size_t i = 0; i < count; ++i, pointer += step) {
-    while (pointer > cumulated && chosen + 1 < count) {
+  for (int i = 0; i < count; ++i, pointer += step) {
+    while (pointer > cumulated && chosen + 1 < particles.size()) {
       cumulated += std::exp(particles[++chosen].log_weight);
     }
     drawn.push_back({particles[chosen].map_from_base, std::log(step)});
   }
   return drawn;
+}
+
+int AdaptiveCount(const std::vector<Particle>& particles, const AdaptiveConfig& config) {
+  std::set<std::array<int, 3>> bins;
+  for (const Particle& particle : particles) {
+    bins.insert({static_cast<int>(std::floor(particle.map_from_base.x_m / config.bin_m)),
+                 static_cast<int>(std::floor(particle.map_from_base.y_m / config.bin_m)),
+                 static_cast<int>(std::floor(particle.map_from_base.yaw_rad / config.bin_rad))});
+  }
+  if (bins.size() < 2) return config.min_particles;
+  // Equation (7) there: the Wilson-Hilferty approximation of the chi-square quantile.
+  const double degrees = static_cast<double>(bins.size() - 1);
+  const double part = 2.0 / (9.0 * degrees);
+  const double root = 1.0 - part + std::sqrt(part) * config.quantile;
+  const double count = degrees / (2.0 * config.max_divergence) * root * root * root;
+  return std::clamp(static_cast<int>(std::min(std::ceil(count), 1e9)), config.min_particles,
+                    config.max_particles);
 }
 
 Distribution Summarize(const std::vector<Particle>& particles) {

@@ -35,15 +35,20 @@ std::vector<Particle> Scatter(const geometry::Pose2& map_from_base, double posit
 void Predict(const MotionModel& motion, std::vector<Particle>& particles, std::mt19937_64& engine);
 
 // Correction: the weights take the likelihood of the beams, to the power of `tempering`, and are
-// normalised.
-void Correct(const std::vector<Beam>& beams, const BeamCaster& caster, const BeamModel& model,
-             double tempering, std::vector<Particle>& particles);
+// normalised. Returns the logarithm of the mean likelihood, to that power, under the old weights.
+double Correct(const std::vector<Beam>& beams, const BeamCaster& caster, const BeamModel& model,
+               double tempering, std::vector<Particle>& particles);
 
 // N_eff = 1 / sum of squared weights, between 1 and the number of particles.
 double EffectiveParticles(const std::vector<Particle>& particles);
 
-// Low-variance resampling (Probabilistic Robotics, table 4.4); equal weights afterwards.
-std::vector<Particle> Resample(const std::vector<Particle>& particles, std::mt19937_64& engine);
+// `count` particles by low-variance resampling (Probabilistic Robotics, table 4.4); equal weights.
+std::vector<Particle> Resample(const std::vector<Particle>& particles, int count,
+                               std::mt19937_64& engine);
+
+// How many particles hold the distribution's shape (KLD sampling, Fox, IJRR 2003): from the number
+// of bins that the particles occupy.
+int AdaptiveCount(const std::vector<Particle>& particles, const AdaptiveConfig& config);
 
 Distribution Summarize(const std::vector<Particle>& particles);
 

@@ -7,14 +7,15 @@
 #include "localization/beam_caster.h"
 #include "localization/beam_model.h"
 #include "localization/config.h"
+#include "localization/global_search.h"
 #include "localization/scan_matcher.h"
 
 namespace soundmap::localization {
 
 // A floor plan made ready for localization. Immutable; all robots on the plan share it. Some 20
-// bytes a cell and, with the default beam model, 12 MB.
+// bytes a cell, 7 a cell of the search, and, with the default beam model, 12 MB.
 struct PreparedPlan {
-  // InvalidArgument: a parameter out of range, a plan without walls or too large.
+  // InvalidArgument: a parameter out of range, a plan without walls or free cells, or too large.
   static absl::StatusOr<std::shared_ptr<const PreparedPlan>> Create(
       const Config& config, const building::FloorPlan& plan);
 
@@ -23,6 +24,7 @@ struct PreparedPlan {
   BeamCaster caster;
   BeamModel model;
   ScanMatcher matcher;
+  GlobalSearch search;
 };
 
 }  // namespace soundmap::localization

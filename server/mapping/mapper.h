@@ -16,7 +16,9 @@ namespace soundmap::mapping {
 
 struct MapperConfig {
   double voxel_size_m = 0.05;  // of the octree (section II)
-  OccupancyConfig occupancy;
+  // What moves is unlearned sooner than by OctoMap's sensor model (miss 0.4), and what was seen
+  // free often is not made occupied by a few people who walk through.
+  OccupancyConfig occupancy{.miss_log_odds = -0.6, .min_log_odds = -8.0};
   // LIDAR points nearer than this belong to the robot; further ones are left out.
   double min_range_m = 0.4;
   double max_range_m = 40.0;
@@ -29,8 +31,8 @@ struct MapperConfig {
   double surface_voxel_size_m = 0.2;
   // A scan is kept when the robot has moved this far since the last kept one; each square metre and
   // quarter turn keeps only so many.
-  double key_scan_distance_m = 0.15;
-  double key_scan_angle_rad = 0.1;
+  double key_scan_distance_m = 0.2;
+  double key_scan_angle_rad = 0.2;
   int key_scans_per_place = 16;
   // After the drive, each kept scan is aligned to all the others this many times.
   int relaxation_passes = 2;
@@ -52,11 +54,19 @@ struct MappingReport {
   // Without points in range, without odometry, with a jump of the odometry in them, not newer than
   // the one before, or outside the surveyed poses.
   int scans_dropped = 0;
-  int scans_unregistered = 0;     // did not fit the map; by odometry alone
-  int key_scans = 0;              // kept for the octree
-  double mean_residual_m = 0.0;   // of the key scans' points to the surfaces; 0 with surveyed poses
-  double drift_removed_m = 0.0;   // between the odometry's end of the path and the corrected one
-  std::vector<StampedPose> path;  // of every scan that was used, at the middle of its sweep
+  int scans_unregistered = 0;  // did not fit the map; by odometry alone
+  int key_scans = 0;           // kept for the octree
+  // Places that the robot may have come back to; of these, found again and tied together; and found
+  // but contradicting what else is known.
+  int loops_tried = 0;
+  int loops_closed = 0;
+  int loops_refused = 0;
+  double mean_residual_m = 0.0;  // of the key scans' points to the surfaces; 0 with surveyed poses
+  // Between the odometry's end of the path and the corrected one; of several drives the largest.
+  double drift_removed_m = 0.0;
+  // Of every scan that was used, at the middle of its sweep; drive after drive.
+  std::vector<StampedPose> path;
+  std::vector<std::size_t> drive_begin;  // where each drive's part of the path begins
 };
 
 struct MappingResult {
@@ -64,21 +74,25 @@ struct MappingResult {
   MappingReport report;
 };
 
-// Makes the geometric map of section II from a mapping drive, fed frame by frame in the order of
-// the drive. Each LIDAR sweep is straightened by the odometry and aligned to the surfaces mapped so
-// far; Finish() relaxes all kept scans against each other and casts their rays into the octree. Not
-// the paper's 3DTK: 3 degrees of freedom instead of 6, since the floor is flat, and no closing of
-// loops larger than the LIDAR's view. Deterministic. Memory is bounded by the building, except 48
-// bytes of path a scan. One thread at a time.
+// Makes the geometric map of section II from mapping drives, fed frame by frame in the order of
+// each drive. Each LIDAR sweep is straightened by the odometry and aligned in 6 degrees of freedom,
+// of which the flat floor nearly holds three, to the surfaces around; places seen again close loops
+// in a pose graph. Finish() brings the drives together, relaxes all kept scans against each other
+// and casts their rays into the octree. The paper does this by 3DTK. Deterministic. Memory is
+// bounded by the building and the number of drives, except 200 bytes of path a scan. One thread at
+// a time.
 class Mapper {
  public:
-  // `map_from_base` is the robot's pose at the first odometry of the drive and fixes the map frame.
-  // With surveyed poses (two or more, times increasing) these are used instead of registration;
-  // between them the robot moves as its odometry says; scans outside their span are dropped.
+  // The first drive. `map_from_base` is the robot's pose at the first odometry of the drive and
+  // fixes the map frame. With surveyed poses (two or more, times increasing) these are used instead
+  // of registration; between them the robot moves as its odometry says; scans outside their span
+  // are dropped. With a building to `extend` that one's frame is the map's and does not move:
+  // `map_from_base` is then where the search for the drive's place begins.
   static absl::StatusOr<Mapper> Create(const MapperConfig& config,
                                        const frames::Calibration& calibration,
                                        const geometry::Pose2& map_from_base,
-                                       std::vector<StampedPose> surveyed = {});
+                                       std::vector<StampedPose> surveyed = {},
+                                       std::shared_ptr<const building::Building> extend = nullptr);
   Mapper(Mapper&&) noexcept;
   Mapper& operator=(Mapper&&) noexcept;
   ~Mapper();
@@ -87,16 +101,23 @@ class Mapper {
   // out and the next may follow.
   absl::Status Add(const frames::Frame& frame);
 
+  // The frames that follow are a further drive's, of the same robot or another; they may be older.
+  // `map_from_base`, if known, is where its place is searched for first; else it is found by its
+  // surfaces. InvalidArgument: a calibration or pose that is not sound; the drive before goes on.
+  absl::Status BeginDrive(const frames::Calibration& calibration,
+                          std::optional<geometry::Pose2> map_from_base);
+
   // Once, after the last frame. `progress` gets 0 .. 1 now and then and returns false to cancel
-  // (Cancelled). InvalidArgument: the drive gave no scan to map, with the reason.
-  // ResourceExhausted: the building is too large for one map.
+  // (Cancelled). InvalidArgument: a drive gave no scan to map, with the reason. FailedPrecondition:
+  // a drive does not overlap the others, or the building to extend. ResourceExhausted: the building
+  // is too large for one map.
   absl::StatusOr<MappingResult> Finish(const std::function<bool(double)>& progress = {});
 
  private:
-  class Drive;
-  explicit Mapper(std::unique_ptr<Drive> drive);
+  class Work;
+  explicit Mapper(std::unique_ptr<Work> work);
 
-  std::unique_ptr<Drive> drive_;
+  std::unique_ptr<Work> work_;
 };
 
 }  // namespace soundmap::mapping

@@ -15,6 +15,12 @@ namespace {
 constexpr int kBlockBits = 3;
 constexpr int kBlockSize = 1 << kBlockBits;
 constexpr double kStep_log_odds = 1e-3;
+// OctoMap's lower limit: what another map knows to be free.
+constexpr double kKnownFree_log_odds = -2.0;
+
+// A voxel's size, and more than any way, in fixed point.
+constexpr double kFixedOne = 1099511627776.0;        // 2^40
+constexpr double kFixedMax = 1152921504606846976.0;  // 2^60
 
 int CellInBlock(int x, int y, int z) {
   constexpr int kMask = kBlockSize - 1;
@@ -106,42 +112,95 @@ bool OccupancyGrid::CastFree(const Ray& ray) {
   const double end = length - ray.margin_m / voxel_size_m_;
   if (!(end > 0.0)) return true;
 
+  // Distances along the ray in fixed point, to the next boundary on each axis and between
+  // boundaries: the choice of the next axis takes no branch, which could not be predicted.
+  const auto fixed = [](double voxels) {
+    return static_cast<std::int64_t>(std::min(voxels * kFixedOne, kFixedMax));
+  };
+  const std::int64_t end_fixed = fixed(end);
   int voxel[3], step[3];
-  double next[3],
-      interval[3];  // distance along the ray to the next boundary, and between boundaries
+  std::int64_t first[3], interval[3];
   for (int axis = 0; axis < 3; ++axis) {
     const double floor = std::floor(origin[axis]);
     voxel[axis] = static_cast<int>(floor) + geometry::VoxelKey::kCentre;
     const double slope = way[axis] / length;
     step[axis] = slope > 0.0 ? 1 : -1;
-    interval[axis] = slope == 0.0 ? std::numeric_limits<double>::infinity() : 1.0 / std::abs(slope);
     const double to_boundary = slope > 0.0 ? floor + 1.0 - origin[axis] : origin[axis] - floor;
-    next[axis] = slope == 0.0 ? interval[axis] : to_boundary * interval[axis];
+    interval[axis] = slope == 0.0 ? fixed(kFixedMax) : fixed(1.0 / std::abs(slope));
+    first[axis] = slope == 0.0 ? interval[axis] : fixed(to_boundary / std::abs(slope));
   }
+  int x = voxel[0], y = voxel[1], z = voxel[2];
+  std::int64_t next_x = first[0], next_y = first[1], next_z = first[2];
   Block* block = nullptr;
-  int block_x = -1, block_y = -1, block_z = -1;
+  int block_x = 0, block_y = 0, block_z = 0;  // of any voxel in it
   for (;;) {
-    if (voxel[0] >> kBlockBits != block_x || voxel[1] >> kBlockBits != block_y ||
-        voxel[2] >> kBlockBits != block_z) {
-      block = BlockAt(voxel[0], voxel[1], voxel[2]);
+    if (!block || (((x ^ block_x) | (y ^ block_y) | (z ^ block_z)) >> kBlockBits) != 0) {
+      block = BlockAt(x, y, z);
       if (!block) return false;
-      block_x = voxel[0] >> kBlockBits;
-      block_y = voxel[1] >> kBlockBits;
-      block_z = voxel[2] >> kBlockBits;
+      block_x = x;
+      block_y = y;
+      block_z = z;
     }
-    Update(*block, voxel[0], voxel[1], voxel[2], miss_);
-    const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
-    if (next[axis] >= end) return true;
-    voxel[axis] += step[axis];
-    next[axis] += interval[axis];
+    Update(*block, x, y, z, miss_);
+    const bool is_x = (next_x <= next_y) & (next_x <= next_z);
+    const bool is_y = !is_x & (next_y <= next_z);
+    const bool is_z = !(is_x | is_y);
+    if (std::min(std::min(next_x, next_y), next_z) >= end_fixed) return true;
+    x += step[0] & -static_cast<int>(is_x);
+    y += step[1] & -static_cast<int>(is_y);
+    z += step[2] & -static_cast<int>(is_z);
+    next_x += interval[0] & -static_cast<std::int64_t>(is_x);
+    next_y += interval[1] & -static_cast<std::int64_t>(is_y);
+    next_z += interval[2] & -static_cast<std::int64_t>(is_z);
   }
+}
+
+absl::Status OccupancyGrid::Full() const {
+  return absl::ResourceExhaustedError(absl::StrCat(
+      "the building has more than ", max_blocks_ * kBlockSize * kBlockSize * kBlockSize,
+      " known voxels of ", voxel_size_m_, " m, the limit of a map"));
+}
+
+absl::Status OccupancyGrid::InsertKnown(const octomap::OcTree& octree) {
+  const int free = std::max(min_, Steps(kKnownFree_log_odds));
+  // Free ones first: an occupied leaf smaller than a voxel makes it occupied.
+  for (const bool occupied : {false, true}) {
+    for (auto leaf = octree.begin_leafs(), end = octree.end_leafs(); leaf != end; ++leaf) {
+      if (octree.isNodeOccupied(*leaf) != occupied) continue;
+      // The voxels whose centres lie in the leaf; at least the one around the leaf's own.
+      const double half_m = 0.5 * leaf.getSize();
+      const Eigen::Vector3d centre(leaf.getX(), leaf.getY(), leaf.getZ());
+      int first[3], last[3];
+      for (int axis = 0; axis < 3; ++axis) {
+        const double from = (centre[axis] - half_m) / voxel_size_m_ - 0.5;
+        const double to = (centre[axis] + half_m) / voxel_size_m_ - 0.5;
+        // Voxel sizes that divide each other must not lose or double a voxel to rounding.
+        first[axis] = static_cast<int>(std::ceil(from - 1e-3));
+        last[axis] = static_cast<int>(std::ceil(to - 1e-3)) - 1;
+        if (last[axis] < first[axis]) {
+          first[axis] = last[axis] = static_cast<int>(std::floor(centre[axis] / voxel_size_m_));
+        }
+        first[axis] = std::max(first[axis] + geometry::VoxelKey::kCentre, 0);
+        last[axis] = std::min(last[axis] + geometry::VoxelKey::kCentre, 65535);
+      }
+      for (int z = first[2]; z <= last[2]; ++z) {
+        for (int y = first[1]; y <= last[1]; ++y) {
+          for (int x = first[0]; x <= last[0]; ++x) {
+            Block* block = BlockAt(x, y, z);
+            if (!block) return Full();
+            Block::Cell& cell = block->cells[CellInBlock(x, y, z)];
+            cell.scan = std::numeric_limits<std::uint16_t>::max();
+            cell.log_odds = static_cast<std::int16_t>(occupied ? max_ : free);
+          }
+        }
+      }
+    }
+  }
+  return absl::OkStatus();
 }
 
 absl::Status OccupancyGrid::InsertScan(std::span<const Ray> rays) {
   scan_ = scan_ == std::numeric_limits<std::uint16_t>::max() ? 1 : scan_ + 1;
-  const absl::Status full = absl::ResourceExhaustedError(absl::StrCat(
-      "the building has more than ", max_blocks_ * kBlockSize * kBlockSize * kBlockSize,
-      " known voxels of ", voxel_size_m_, " m, the limit of a map"));
   const auto in_range = [&](const Ray& ray) {
     return geometry::KeyFromPoint(ray.origin_in_map.cast<double>(), voxel_size_m_) &&
            geometry::KeyFromPoint(ray.end_in_map.cast<double>(), voxel_size_m_);
@@ -150,13 +209,38 @@ absl::Status OccupancyGrid::InsertScan(std::span<const Ray> rays) {
     if (!in_range(ray)) continue;
     const auto key = geometry::KeyFromPoint(ray.end_in_map.cast<double>(), voxel_size_m_);
     Block* block = BlockAt(key->x, key->y, key->z);
-    if (!block) return full;
+    if (!block) return Full();
     Update(*block, key->x, key->y, key->z, hit_);
   }
   for (const Ray& ray : rays) {
-    if (in_range(ray) && !CastFree(ray)) return full;
+    if (in_range(ray) && !CastFree(ray)) return Full();
   }
   return absl::OkStatus();
+}
+
+// Hit by hardly more than one scan, seen through by others and alone: what is left of something
+// that moved.
+bool OccupancyGrid::IsSpeckle(const Block& block, int x, int y, int z) const {
+  const int log_odds = block.cells[CellInBlock(x, y, z)].log_odds;
+  const bool seen_through = log_odds % hit_ != 0;
+  if (log_odds >= 2 * hit_ || !seen_through) return false;
+  const int centre[3] = {(block.key.x << kBlockBits) + x, (block.key.y << kBlockBits) + y,
+                         (block.key.z << kBlockBits) + z};
+  for (int dx = -1; dx <= 1; ++dx) {
+    for (int dy = -1; dy <= 1; ++dy) {
+      for (int dz = -1; dz <= 1; ++dz) {
+        if (dx == 0 && dy == 0 && dz == 0) continue;
+        const int other[3] = {centre[0] + dx, centre[1] + dy, centre[2] + dz};
+        const auto found = block_index_.find({static_cast<std::uint16_t>(other[0] >> kBlockBits),
+                                              static_cast<std::uint16_t>(other[1] >> kBlockBits),
+                                              static_cast<std::uint16_t>(other[2] >> kBlockBits)});
+        if (found == block_index_.end()) continue;
+        const Block& there = *blocks_[found->second];
+        if (there.cells[CellInBlock(other[0], other[1], other[2])].log_odds > 0) return false;
+      }
+    }
+  }
+  return true;
 }
 
 std::shared_ptr<octomap::OcTree> OccupancyGrid::ToOctree() const {
@@ -176,10 +260,10 @@ std::shared_ptr<octomap::OcTree> OccupancyGrid::ToOctree() const {
           const octomap::OcTreeKey key((block->key.x << kBlockBits) + x,
                                        (block->key.y << kBlockBits) + y,
                                        (block->key.z << kBlockBits) + z);
-          octree->setNodeValue(key,
-                               cell.log_odds > 0 ? octree->getClampingThresMaxLog()
-                                                 : octree->getClampingThresMinLog(),
-                               /*lazy_eval=*/true);
+          const bool occupied = cell.log_odds > 0 && !IsSpeckle(*block, x, y, z);
+          octree->setNodeValue(
+              key, occupied ? octree->getClampingThresMaxLog() : octree->getClampingThresMinLog(),
+              /*lazy_eval=*/true);
         }
       }
     }

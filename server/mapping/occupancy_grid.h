@@ -44,12 +44,16 @@ class OccupancyGrid {
   OccupancyGrid(double voxel_size_m, const OccupancyConfig& config);
   ~OccupancyGrid();
 
+  // Takes in what another map, of any voxel size, knows, as sure as OctoMap's limits allow. Before
+  // the first scan. ResourceExhausted as InsertScan().
+  absl::Status InsertKnown(const octomap::OcTree& octree);
+
   // Rays that leave the range of voxel keys are left out. ResourceExhausted: the map has grown
   // beyond max_blocks.
   absl::Status InsertScan(std::span<const Ray> rays);
 
-  // Pruned. Each known voxel is as surely occupied or free as OctoMap allows (its clamping
-  // thresholds).
+  // Pruned. A voxel alone that one scan hit and others saw through is free. Each known voxel is as
+  // surely occupied or free as OctoMap allows (its clamping thresholds).
   std::shared_ptr<octomap::OcTree> ToOctree() const;
 
  private:
@@ -58,6 +62,8 @@ class OccupancyGrid {
   Block* BlockAt(int x, int y, int z);
   void Update(Block& block, int x, int y, int z, int change);
   bool CastFree(const Ray& ray);
+  bool IsSpeckle(const Block& block, int x, int y, int z) const;
+  absl::Status Full() const;
 
   double voxel_size_m_;
   int hit_, miss_, min_, max_;  // log-odds in steps of 1e-3

@@ -18,4 +18,13 @@ std::vector<std::uint32_t> FirstPointPerCube(std::span<const Eigen::Vector3f> po
   return first;
 }
 
+std::vector<Eigen::Vector3f> ThinPoints(std::span<const Eigen::Vector3f> points,
+                                        double cube_size_m) {
+  std::vector<Eigen::Vector3f> thinned;
+  for (const std::uint32_t i : FirstPointPerCube(points, cube_size_m)) {
+    thinned.push_back(points[i]);
+  }
+  return thinned;
+}
+
 }  // namespace soundmap::mapping

@@ -12,4 +12,8 @@ namespace soundmap::mapping {
 std::vector<std::uint32_t> FirstPointPerCube(std::span<const Eigen::Vector3f> points,
                                              double cube_size_m);
 
+// These points themselves.
+std::vector<Eigen::Vector3f> ThinPoints(std::span<const Eigen::Vector3f> points,
+                                        double cube_size_m);
+
 }  // namespace soundmap::mapping

@@ -5,32 +5,48 @@
 #include <cmath>
 #include <vector>
 
+#include "mapping/point_thinning.h"
+
 namespace soundmap::mapping {
 namespace {
 
-constexpr int kMaxIterations = 25;
-constexpr double kEndDistance_m = 0.15;
-constexpr double kDistanceShrink = 0.7;
-constexpr double kConverged_m = 1e-4;
-constexpr double kConverged_rad = 2e-5;
+using Matrix6 = Eigen::Matrix<double, 6, 6>;
+using Vector6 = Eigen::Matrix<double, 6, 1>;
 
-// Cauchy kernel: never narrower than a good LIDAR's noise.
-constexpr double kMinKernel_m = 0.02;
-constexpr double kMaxKernel_m = 0.2;
+constexpr int kMaxIterations = 25;
+constexpr double kDistanceShrink = 0.7;
+constexpr double kConverged_m = 3e-4;
+constexpr double kConverged_rad = 5e-5;
+
+// In voxels of the map: how far a point looks for its surfel at the end, and how far an inlier may
+// lie from its surface.
+constexpr double kEndDistance_voxels = 0.75;
+constexpr double kInlier_voxels = 0.3;
+
+// Cauchy kernel, in voxels: never narrower than a good LIDAR's noise at 0.2 m.
+constexpr double kMinKernel_voxels = 0.1;
+constexpr double kMaxKernel_voxels = 1.0;
 constexpr double kStdOfMedian = 1.4826;
 
 // What one point's residual is taken to weigh against the prior. Much more than the noise of a
 // point, since neighbouring points err together.
-constexpr double kResidualStd_m = 0.3;
+constexpr double kResidualStd_m = 0.15;
 
 // A plane steeper than this speaks for x, y and yaw.
 constexpr float kMaxVerticalNormal = 0.5f;
-constexpr double kInlier_m = 0.06;
+
+// What a registration from far away should reach.
+constexpr double kGoodFit = 0.75;
+constexpr double kGoodOverlap = 0.5;
+
+// Points a voxel that are enough to align a scan.
+constexpr double kPoints_voxels = 0.75;
 
 struct Constraint {
-  float normal_x, normal_y;
+  // Change of the residual with (x, y, z, rx, ry, rz), in map axes about the base.
+  Eigen::Matrix<float, 6, 1> jacobian;
   float residual_m;
-  float lever_m;  // change of the residual with yaw
+  bool steep;
 };
 
 struct Correspondences {
@@ -38,31 +54,27 @@ struct Correspondences {
   int near = 0;  // points with a surfel
 };
 
-Correspondences Match(std::span<const Eigen::Vector3f> point_in_base, const SurfaceMap& map,
-                      const geometry::Pose2& map_from_base, double max_distance_m) {
-  Correspondences result;
-  result.constraints.reserve(point_in_base.size());
-  const double cos_yaw = std::cos(map_from_base.yaw_rad);
-  const double sin_yaw = std::sin(map_from_base.yaw_rad);
+void Match(std::span<const Eigen::Vector3f> point_in_base, const SurfaceMap& map,
+           const Eigen::Isometry3d& map_from_base, double max_distance_m, Correspondences& result) {
+  result.constraints.clear();
+  result.near = 0;
+  const Eigen::Matrix3f rotation = map_from_base.linear().cast<float>();
+  const Eigen::Vector3f place = map_from_base.translation().cast<float>();
   for (const Eigen::Vector3f& point : point_in_base) {
-    // Arm from the base to the point along the map's axes.
-    const double arm_x = cos_yaw * point.x() - sin_yaw * point.y();
-    const double arm_y = sin_yaw * point.x() + cos_yaw * point.y();
-    const Eigen::Vector3f in_map(static_cast<float>(map_from_base.x_m + arm_x),
-                                 static_cast<float>(map_from_base.y_m + arm_y), point.z());
+    const Eigen::Vector3f arm = rotation * point;
+    const Eigen::Vector3f in_map = place + arm;
     const Surfel* surfel = map.Nearest(in_map, max_distance_m);
     if (!surfel) continue;
     ++result.near;
-    if (!surfel->has_plane() || std::abs(surfel->normal.z()) > kMaxVerticalNormal) continue;
-    const float lever_m = static_cast<float>(arm_x) * surfel->normal.y() -
-                          static_cast<float>(arm_y) * surfel->normal.x();
-    result.constraints.push_back({surfel->normal.x(), surfel->normal.y(),
-                                  surfel->normal.dot(in_map) - surfel->offset_m, lever_m});
+    if (!surfel->has_plane()) continue;
+    Constraint& constraint = result.constraints.emplace_back();
+    constraint.jacobian << surfel->normal, arm.cross(surfel->normal);
+    constraint.residual_m = surfel->normal.dot(in_map) - surfel->offset_m;
+    constraint.steep = std::abs(surfel->normal.z()) <= kMaxVerticalNormal;
   }
-  return result;
 }
 
-double KernelWidth(const std::vector<Constraint>& constraints) {
+double KernelWidth(const std::vector<Constraint>& constraints, double voxel_size_m) {
   std::vector<float> sizes_m;
   sizes_m.reserve(constraints.size());
   for (const Constraint& constraint : constraints) {
@@ -70,64 +82,156 @@ double KernelWidth(const std::vector<Constraint>& constraints) {
   }
   const auto middle = sizes_m.begin() + static_cast<std::ptrdiff_t>(sizes_m.size() / 2);
   std::nth_element(sizes_m.begin(), middle, sizes_m.end());
-  return std::clamp(kStdOfMedian * *middle, kMinKernel_m, kMaxKernel_m);
+  return std::clamp(kStdOfMedian * *middle, kMinKernel_voxels * voxel_size_m,
+                    kMaxKernel_voxels * voxel_size_m);
 }
 
-// The Gauss-Newton step (x, y, yaw) of the residuals and of the prior, whose deviation from the
-// starting pose is `from_start`.
-Eigen::Vector3d Step(const std::vector<Constraint>& constraints, const Eigen::Vector3d& from_start,
-                     const SearchRange& range) {
-  const Eigen::Vector3d prior_weight(1.0 / (range.prior_std_m * range.prior_std_m),
-                                     1.0 / (range.prior_std_m * range.prior_std_m),
-                                     1.0 / (range.prior_std_rad * range.prior_std_rad));
-  Eigen::Matrix3d information = prior_weight.asDiagonal();
-  Eigen::Vector3d gradient = prior_weight.cwiseProduct(from_start);
-  if (!constraints.empty()) {
-    const double kernel_m = KernelWidth(constraints);
-    for (const Constraint& constraint : constraints) {
-      const double relative = constraint.residual_m / kernel_m;
-      const double weight = 1.0 / ((1.0 + relative * relative) * kResidualStd_m * kResidualStd_m);
-      const Eigen::Vector3d jacobian(constraint.normal_x, constraint.normal_y, constraint.lever_m);
-      information += weight * jacobian * jacobian.transpose();
-      gradient += weight * constraint.residual_m * jacobian;
-    }
+struct NormalEquations {
+  Matrix6 information = Matrix6::Zero();
+  Vector6 gradient = Vector6::Zero();
+};
+
+NormalEquations Sum(const std::vector<Constraint>& constraints, double voxel_size_m) {
+  NormalEquations sum;
+  if (constraints.empty()) return sum;
+  const double kernel_m = KernelWidth(constraints, voxel_size_m);
+  for (const Constraint& constraint : constraints) {
+    const double relative = constraint.residual_m / kernel_m;
+    const double weight = 1.0 / ((1.0 + relative * relative) * kResidualStd_m * kResidualStd_m);
+    const Vector6 jacobian = constraint.jacobian.cast<double>();
+    const Vector6 weighted = weight * jacobian;
+    sum.information.noalias() += weighted * jacobian.transpose();
+    sum.gradient += constraint.residual_m * weighted;
   }
-  return -information.ldlt().solve(gradient);
+  return sum;
+}
+
+Vector6 PriorWeight(const SearchRange& range) {
+  Vector6 std;
+  std << range.prior_std_m, range.prior_std_m, range.prior_std_z_m, range.prior_std_tilt_rad,
+      range.prior_std_tilt_rad, range.prior_std_rad;
+  return std.cwiseProduct(std).cwiseInverse();
+}
+
+Eigen::Matrix3d Rotation(const Eigen::Vector3d& turn_rad) {
+  const double angle_rad = turn_rad.norm();
+  if (angle_rad < 1e-12) return Eigen::Matrix3d::Identity();
+  return Eigen::AngleAxisd(angle_rad, turn_rad / angle_rad).toRotationMatrix();
+}
+
+Eigen::Vector3d TurnOf(const Eigen::Matrix3d& rotation) {
+  const Eigen::AngleAxisd turn(rotation);
+  return turn.angle() * turn.axis();
 }
 
 }  // namespace
 
 Registration Register(std::span<const Eigen::Vector3f> point_in_base, const SurfaceMap& map,
-                      const geometry::Pose2& start_map_from_base, const SearchRange& range) {
-  Registration result;
-  geometry::Pose2 pose = start_map_from_base;
-  Eigen::Vector3d from_start = Eigen::Vector3d::Zero();
-  double distance_m = std::max(range.start_distance_m, kEndDistance_m);
+                      const Eigen::Isometry3d& start_map_from_base, const SearchRange& range) {
+  const double voxel_m = map.voxel_size_m();
+  const double end_distance_m = kEndDistance_voxels * voxel_m;
+  const Vector6 prior_weight = PriorWeight(range);
+  Eigen::Isometry3d pose = start_map_from_base;
+  double distance_m = std::max(range.start_distance_m, end_distance_m);
+  Correspondences found;
   for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
-    const Correspondences found = Match(point_in_base, map, pose, distance_m);
-    const Eigen::Vector3d step = Step(found.constraints, from_start, range);
-    from_start += step;
-    pose = {start_map_from_base.x_m + from_start.x(), start_map_from_base.y_m + from_start.y(),
-            start_map_from_base.yaw_rad + from_start.z()};
-    const bool still = step.head<2>().norm() < kConverged_m && std::abs(step.z()) < kConverged_rad;
-    if (still && distance_m <= kEndDistance_m) break;
-    distance_m = std::max(distance_m * kDistanceShrink, kEndDistance_m);
+    Match(point_in_base, map, pose, distance_m, found);
+    NormalEquations sum = Sum(found.constraints, voxel_m);
+    Vector6 from_start;
+    from_start << pose.translation() - start_map_from_base.translation(),
+        TurnOf(pose.linear() * start_map_from_base.linear().transpose());
+    sum.information.diagonal() += prior_weight;
+    sum.gradient += prior_weight.cwiseProduct(from_start);
+    const Vector6 step = -sum.information.ldlt().solve(sum.gradient);
+    pose.translation() += step.head<3>();
+    pose.linear() = Rotation(step.tail<3>()) * pose.linear();
+    const bool still =
+        step.head<3>().norm() < kConverged_m && step.tail<3>().norm() < kConverged_rad;
+    if (still && distance_m <= end_distance_m) break;
+    distance_m = std::max(distance_m * kDistanceShrink, end_distance_m);
   }
 
-  const Correspondences found = Match(point_in_base, map, pose, kEndDistance_m);
+  Registration result;
+  Match(point_in_base, map, pose, end_distance_m, found);
   double sum_m = 0.0;
   for (const Constraint& constraint : found.constraints) {
-    if (std::abs(constraint.residual_m) > kInlier_m) continue;
+    if (!constraint.steep) continue;
+    ++result.constraints;
+    if (std::abs(constraint.residual_m) > kInlier_voxels * voxel_m) continue;
     ++result.inliers;
     sum_m += std::abs(constraint.residual_m);
   }
-  result.constraints = static_cast<int>(found.constraints.size());
   if (!point_in_base.empty()) {
     result.overlap = static_cast<double>(found.near) / static_cast<double>(point_in_base.size());
   }
   if (result.inliers > 0) result.mean_residual_m = sum_m / result.inliers;
-  result.map_from_base = pose * geometry::Pose2{};  // brings yaw into (-pi, pi]
+  Matrix6 map_axes_from_base = Matrix6::Zero();
+  map_axes_from_base.topLeftCorner<3, 3>() = map_axes_from_base.bottomRightCorner<3, 3>() =
+      pose.linear();
+  result.information = map_axes_from_base.transpose() *
+                       Sum(found.constraints, voxel_m).information * map_axes_from_base;
+  result.information = 0.5 * (result.information + result.information.transpose()).eval();
+  pose.linear() = Eigen::Quaterniond(pose.linear()).normalized().toRotationMatrix();
+  result.map_from_base = pose;
   return result;
+}
+
+SurfacePyramid::SurfacePyramid(double finest_voxel_size_m, int levels) {
+  double voxel_size_m = finest_voxel_size_m;
+  for (int level = 0; level < levels; ++level, voxel_size_m *= 2.0) {
+    levels_.emplace_back(voxel_size_m);
+  }
+}
+
+void SurfacePyramid::Insert(std::span<const Eigen::Vector3f> point_in_map) {
+  for (SurfaceMap& level : levels_) level.Insert(point_in_map);
+}
+
+void SurfacePyramid::FitPlanes() {
+  for (SurfaceMap& level : levels_) level.FitPlanes();
+}
+
+Registration RegisterCoarseToFine(std::span<const Eigen::Vector3f> point_in_base,
+                                  const SurfacePyramid& map,
+                                  const Eigen::Isometry3d& start_map_from_base,
+                                  const SearchRange& range) {
+  Registration result;
+  result.map_from_base = start_map_from_base;
+  SearchRange level_range = range;
+  // A point further out is swept past its surface by the error in rotation, which falls by half
+  // from level to level.
+  double reach_m = range.start_distance_m / std::max(range.prior_std_rad, range.prior_std_tilt_rad);
+  for (auto level = map.levels().rbegin(); level != map.levels().rend(); ++level) {
+    const bool finest = level + 1 == map.levels().rend();
+    std::vector<Eigen::Vector3f> points =
+        ThinPoints(point_in_base, kPoints_voxels * level->voxel_size_m());
+    if (!finest) {
+      std::erase_if(points,
+                    [reach_m](const Eigen::Vector3f& point) { return point.norm() > reach_m; });
+    }
+    result = Register(points, *level, result.map_from_base, level_range);
+    level_range.start_distance_m = level->voxel_size_m();  // two of the next level's voxels
+    reach_m *= 2.0;
+  }
+  return result;
+}
+
+Registration RegisterFromFar(std::span<const Eigen::Vector3f> point_in_base,
+                             const SurfacePyramid& map,
+                             const Eigen::Isometry3d& start_map_from_base,
+                             const SearchRange& range) {
+  Registration best = RegisterCoarseToFine(point_in_base, map, start_map_from_base, range);
+  const double turn_rad[] = {range.prior_std_tilt_rad, range.prior_std_tilt_rad,
+                             range.prior_std_rad};
+  for (int i = 0; i < 6 && (best.fit() < kGoodFit || best.overlap < kGoodOverlap); ++i) {
+    Eigen::Isometry3d start = start_map_from_base;
+    start.linear() = Rotation((i % 2 == 0 ? 1.0 : -1.0) * turn_rad[2 - i / 2] *
+                              Eigen::Vector3d::Unit(2 - i / 2)) *
+                     start.linear();
+    const Registration other = RegisterCoarseToFine(point_in_base, map, start, range);
+    if (other.inliers > best.inliers) best = other;
+  }
+  return best;
 }
 
 }  // namespace soundmap::mapping

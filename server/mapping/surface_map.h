@@ -45,6 +45,7 @@ class SurfaceMap {
   // The surfel of the voxel that the point lies in. Null if there is none.
   const Surfel* At(const Eigen::Vector3f& point_in_map) const;
 
+  double voxel_size_m() const { return voxel_size_m_; }
   std::size_t size() const { return surfels_.size(); }
   const std::vector<Surfel>& surfels() const { return surfels_; }
 

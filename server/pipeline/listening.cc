@@ -45,7 +45,8 @@ void serialize(Archive& archive, soundmap::localization::KeptScan& scan, unsigne
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::localization::Hypothesis& hypothesis, unsigned) {
-  archive& hypothesis.particles& hypothesis.evidence& hypothesis.fit& hypothesis.weight;
+  archive& hypothesis.particles& hypothesis.evidence& hypothesis.fit& hypothesis.recent& hypothesis
+      .weight& hypothesis.taken_up_at;
 }
 
 template <class Archive>

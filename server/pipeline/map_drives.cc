@@ -119,7 +119,9 @@ absl::StatusOr<DrivenMap> MapByLaser(const std::vector<SessionRecord>& drives,
   if (!read.ok()) return read;
   auto result = mapper->Finish(FinishProgress(context));
   if (!result.ok()) return result.status();
-  return DrivenMap{std::move(result->building), ToJson(result->report, drives).dump()};
+  nlohmann::json report = ToJson(result->report, drives);
+  report["laser_lag_s"] = result->report.laser_lag_s;
+  return DrivenMap{std::move(result->building), report.dump()};
 }
 
 }  // namespace

@@ -261,6 +261,8 @@ void VisitLocalization(Visitor& v, localization::Config& c) {
   v("tracking_position_std_m", c.health.tracking_position_std_m);
   v.Angle("tracking_yaw_std_deg", c.health.tracking_yaw_std_rad);
   v("slow_memory", c.health.slow_memory);
+  v("usual_share", c.health.usual_share);
+  v("sudden_share", c.health.sudden_share);
   v("lost_misfit_m", c.health.lost_misfit_m);
   v("lost_position_std_m", c.health.lost_position_std_m);
   v("tracking_travel_m", c.health.tracking_travel_m);
@@ -285,6 +287,7 @@ void VisitLocalization(Visitor& v, localization::Config& c) {
   v("hypothesis_particles", c.search.hypothesis_particles);
   v("max_hypotheses", c.search.max_hypotheses);
   v("evidence_travel_m", c.search.evidence_travel_m);
+  v("recent_travel_m", c.search.recent_travel_m);
   v("min_lead", c.search.min_lead);
   v("min_lead_m", c.search.min_lead_m);
   v("carried_lead_m", c.search.carried_lead_m);

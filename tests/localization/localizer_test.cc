@@ -373,6 +373,32 @@ TEST(Localizer, GoesOnBitByBitFromItsState) {
   }
 }
 
+TEST(Localizer, TheNumberOfParticlesCanAdapt) {
+  const SyntheticRoom room;
+  const Drive drive = MakeDrive(room, 20.0, 5);
+  Config config;
+  config.adaptive.enabled = true;
+  config.particles = 1500;
+  config.adaptive.min_particles = 50;
+  const auto plan = Prepare(room, config);
+  auto localizer =
+      Localizer::Create(plan, LaserInFront(), InitialPose{Truth(kStart_ns), 0.5, 0.2}, 1);
+  ASSERT_TRUE(localizer.ok());
+  EXPECT_EQ(localizer->particles().size(), 1500u);
+  std::size_t most = 0, fewest = 1500;
+  for (const frames::Frame& frame : drive.frames) {
+    for (const PoseEstimate& estimate : Feed(*localizer, frame)) {
+      if (estimate.stamp_ns < kStart_ns + 10 * kSecond_ns) continue;
+      EXPECT_LT(PositionError(estimate), 0.1);
+      most = std::max(most, localizer->particles().size());
+      fewest = std::min(fewest, localizer->particles().size());
+      EXPECT_TRUE(Localizer::Restore(plan, LaserInFront(), localizer->state()).ok());
+    }
+  }
+  EXPECT_LT(most, 600u);
+  EXPECT_GE(fewest, 50u);
+}
+
 TEST(Localizer, TheSeedDecides) {
   const SyntheticRoom room;
   const Drive drive = MakeDrive(room, 3.0, 5);
@@ -410,7 +436,9 @@ TEST(Localizer, RefusesAStateOfAnotherConfiguration) {
 TEST(Localizer, SaysWhyItCannotStart) {
   const SyntheticRoom room;
   const auto plan = Prepare(room);
-  const auto unknown = Localizer::Create(plan, LaserInFront(), std::nullopt, 1);
+  Config no_search;
+  no_search.search.enabled = false;
+  const auto unknown = Localizer::Create(Prepare(room, no_search), LaserInFront(), std::nullopt, 1);
   EXPECT_TRUE(absl::IsFailedPrecondition(unknown.status()));
   EXPECT_THAT(std::string(unknown.status().message()), testing::HasSubstr("initial pose"));
   const auto off = Localizer::Create(plan, LaserInFront(), InitialPose{{50.0, 1.0, 0.0}}, 1);

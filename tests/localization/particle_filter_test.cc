@@ -28,7 +28,7 @@ TEST(ParticleFilter, ResamplingIsUnbiasedAndOfLowVariance) {
   constexpr int kRounds = 20000;
   for (int round = 0; round < kRounds; ++round) {
     std::vector<int> count(weights.size(), 0);
-    const auto drawn = Resample(particles, engine);
+    const auto drawn = Resample(particles, static_cast<int>(particles.size()), engine);
     ASSERT_EQ(drawn.size(), weights.size());
     for (const Particle& particle : drawn) {
       ++count[static_cast<int>(particle.map_from_base.x_m)];
@@ -130,6 +130,27 @@ TEST(ParticleFilter, WeightsSurviveLikelihoodsBelowAnyDouble) {
                                   {{1.5, 1.5, 0.0}, std::log(0.5)}};
   Correct(beams, caster, model, 1.0, particles);
   EXPECT_NEAR(particles[0].log_weight, std::log(0.5), 1e-6);
+}
+
+// Fox, IJRR 2003, equation (7), with the quantile of chi-square from tables: 0.99 at 9 degrees of
+// freedom is 21.666, at 49 it is 74.919.
+TEST(ParticleFilter, AdaptiveCountFollowsTheBinsTaken) {
+  AdaptiveConfig config;
+  config.min_particles = 10;
+  config.max_particles = 1000;
+  for (const auto& [bins, quantile] : {std::pair{10, 21.666}, std::pair{50, 74.919}}) {
+    std::vector<Particle> particles;
+    for (int i = 0; i < 3 * bins; ++i) {
+      particles.push_back({{(i % bins + 0.5) * config.bin_m, 0.05, 0.01}, -std::log(3.0 * bins)});
+    }
+    EXPECT_NEAR(AdaptiveCount(particles, config), quantile / (2.0 * config.max_divergence),
+                0.01 * quantile / (2.0 * config.max_divergence) + 1.0);
+    config.max_particles = 300;
+    EXPECT_LE(AdaptiveCount(particles, config), 300);
+    config.max_particles = 1000;
+  }
+  const std::vector<Particle> one(50, Particle{{1.0, 1.0, 1.0}, -std::log(50.0)});
+  EXPECT_EQ(AdaptiveCount(one, config), 10);
 }
 
 }  // namespace

@@ -64,6 +64,50 @@ building::FloorPlan SyntheticRoom::Plan(double cell_size_m) const {
   return plan;
 }
 
+SyntheticRoom OfficeFloor() {
+  SyntheticRoom floor{{0.0, 0.0, 40.0, 20.0}, {}};
+  std::vector<Box>& walls = floor.obstacles;
+  constexpr double kWall_m = 0.2;
+  // Rows of rooms with the walls between them, and for each room where its door begins.
+  struct Row {
+    double low_m, high_m, front_m;
+    std::vector<double> ends_m, doors_m;
+  };
+  const Row rows[] = {
+      {0.0, 9.0, 9.0, {6.0, 14.5, 19.0, 29.0, 40.0}, {4.0, 7.0, 16.0, 22.5, 37.0}},
+      {11.2, 20.0, 11.0, {9.5, 16.0, 26.0, 31.5, 40.0}, {1.5, 13.5, 17.0, 29.0, 34.5}}};
+  for (const Row& row : rows) {
+    double begin_m = 0.0;
+    for (std::size_t i = 0; i < row.ends_m.size(); ++i) {
+      if (row.ends_m[i] < 40.0) {
+        walls.push_back({row.ends_m[i], row.low_m, row.ends_m[i] + kWall_m, row.high_m});
+      }
+      walls.push_back({begin_m, row.front_m, row.doors_m[i], row.front_m + kWall_m});
+      begin_m = row.doors_m[i] + 1.0;
+    }
+    walls.push_back({begin_m, row.front_m, 40.0, row.front_m + kWall_m});
+  }
+  for (const Box& furniture :
+       {Box{1.0, 1.0, 2.6, 1.8}, Box{10.0, 3.0, 10.6, 5.4}, Box{23.0, 0.0, 25.0, 0.6},
+        Box{33.0, 4.0, 35.0, 5.0}, Box{3.0, 17.0, 6.0, 18.0}, Box{11.5, 19.4, 15.0, 20.0},
+        Box{20.0, 15.0, 21.6, 15.8}, Box{36.0, 14.0, 37.0, 17.0}}) {
+    walls.push_back(furniture);
+  }
+  return floor;
+}
+
+SyntheticRoom SymmetricFloor() {
+  SyntheticRoom floor{{0.0, 0.0, 40.0, 20.0}, {}};
+  for (const Box& box :
+       {Box{0.0, 9.0, 8.0, 9.2}, Box{9.0, 9.0, 22.0, 9.2}, Box{23.0, 9.0, 40.0, 9.2},
+        Box{12.0, 0.0, 12.2, 9.0}, Box{27.0, 0.0, 27.2, 9.0}, Box{3.0, 2.0, 4.6, 3.0}}) {
+    floor.obstacles.push_back(box);
+    floor.obstacles.push_back(
+        {40.0 - box.max_x_m, 20.0 - box.max_y_m, 40.0 - box.min_x_m, 20.0 - box.min_y_m});
+  }
+  return floor;
+}
+
 frames::Calibration LaserInFront() {
   frames::Calibration calibration;
   calibration.base_from_laser.translation() << 0.2, 0.0, 0.3;

@@ -25,6 +25,14 @@ struct SyntheticRoom {
   building::FloorPlan Plan(double cell_size_m = 0.05) const;
 };
 
+// A floor of 40 x 20 m: two rows of rooms of different sizes with doors to a corridor between them,
+// and some furniture.
+SyntheticRoom OfficeFloor();
+
+// The same turned by half a turn about its middle, (20, 10): a robot cannot know which way round it
+// is.
+SyntheticRoom SymmetricFloor();
+
 inline constexpr int kScanBeams = 271;
 inline constexpr double kScanStart_rad = -2.356194490192345;
 inline constexpr double kScanIncrement_rad = 0.017453292519943295;

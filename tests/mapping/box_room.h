@@ -47,6 +47,10 @@ struct DriveModel {
   // Odometry: part of the way and of the turn that is lost.
   double odometry_scale = 1.0;
   double odometry_yaw_scale = 1.0;
+  // Instead of the ellipse, at seconds from the start.
+  std::function<geometry::Pose2(double)> path;
+  // What moves: distance at seconds from the start; infinite: nothing in the way.
+  std::function<double(double, const Eigen::Vector3d&, const Eigen::Vector3d&)> moving;
   Eigen::Isometry3d base_from_lidar =
       Eigen::Translation3d(0.1, 0.05, 1.2) * Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitZ());
 
@@ -62,6 +66,22 @@ using World = std::function<double(const Eigen::Vector3d&, const Eigen::Vector3d
 
 std::vector<frames::Frame> SimulateDrive(const World& world, const DriveModel& model,
                                          unsigned seed);
+
+// A corridor of this width around a block, with door posts at equal distances on both sides and a
+// few things that stand about; the drive goes around it.
+BoxRoom RingCorridor(double length_m, double depth_m, double width_m);
+// Counter-clockwise along the middle of the corridor at 1 m/s, from the middle of the first side,
+// with rounded corners.
+geometry::Pose2 AlongRing(double length_m, double depth_m, double width_m, double way_m);
+
+// Two people, cylinders of 0.25 m radius and 1.8 m height, who walk to and fro between the places.
+struct Walker {
+  Eigen::Vector2d from, to;
+  double period_s = 10.0;
+  Eigen::Vector2d At(double time_s) const;
+};
+double DistanceToWalker(const Walker& walker, double time_s, const Eigen::Vector3d& origin,
+                        const Eigen::Vector3d& direction);
 
 // One instantaneous scan in base_link.
 std::vector<Eigen::Vector3f> ScanInBase(const World& world, const DriveModel& model,

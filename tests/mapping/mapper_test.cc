@@ -114,7 +114,7 @@ TEST(Mapper, RemovesTheDriftOfASweptDrive) {
   EXPECT_EQ(report.path.size(), 79u);
   EXPECT_EQ(report.scans_dropped, 0);
   EXPECT_EQ(report.scans_unregistered, 0);
-  EXPECT_GT(report.key_scans, 60);
+  EXPECT_GT(report.key_scans, 35);
   EXPECT_LT(report.mean_residual_m, 0.015);
   const PathError path = ErrorOf(report.path, model);
   EXPECT_LT(path.max_m, 0.02);

@@ -97,8 +97,10 @@ TEST(OccupancyGrid, WithinAScanAPointOutweighsTheRaysThroughIt) {
 }
 
 TEST(OccupancyGrid, WhatMovedAwayErodes) {
-  const std::vector<Ray> person = {{{0.02f, 0.02f, 0.02f}, {1.02f, 0.02f, 0.02f}}};
-  const std::vector<Ray> wall = {{{0.02f, 0.02f, 0.02f}, {2.02f, 0.02f, 0.02f}}};
+  const std::vector<Ray> person = {{{0.02f, 0.02f, 0.02f}, {1.02f, 0.02f, 0.02f}},
+                                   {{0.02f, 0.07f, 0.02f}, {1.02f, 0.07f, 0.02f}}};
+  const std::vector<Ray> wall = {{{0.02f, 0.02f, 0.02f}, {2.02f, 0.02f, 0.02f}},
+                                 {{0.02f, 0.07f, 0.02f}, {2.02f, 0.07f, 0.02f}}};
   OccupancyGrid grid(kVoxel_m, {});
   for (int i = 0; i < 1000; ++i) ASSERT_TRUE(grid.InsertScan(person).ok());
   // Clamped at 3.5, a miss takes 0.4: after eight misses 0.3 is left, after nine nothing.
@@ -106,6 +108,49 @@ TEST(OccupancyGrid, WhatMovedAwayErodes) {
   EXPECT_EQ(At(*grid.ToOctree(), {1.02, 0.02, 0.02}), Cell::kOccupied);
   ASSERT_TRUE(grid.InsertScan(wall).ok());
   EXPECT_EQ(At(*grid.ToOctree(), {1.02, 0.02, 0.02}), Cell::kFree);
+}
+
+// Something that moved leaves a voxel here and there that one scan hit and another saw through.
+TEST(OccupancyGrid, ASpeckleIsFree) {
+  const Ray hit{{0.02f, 0.02f, 0.02f}, {1.02f, 0.02f, 0.02f}};
+  const Ray beside{{0.02f, 0.07f, 0.02f}, {1.02f, 0.07f, 0.02f}};
+  const Ray through{{0.02f, 0.02f, 0.02f}, {2.02f, 0.02f, 0.02f}};
+  for (const bool has_neighbour : {false, true}) {
+    OccupancyGrid grid(kVoxel_m, {});
+    ASSERT_TRUE(grid.InsertScan(std::vector{hit}).ok());
+    EXPECT_EQ(At(*grid.ToOctree(), {1.02, 0.02, 0.02}), Cell::kOccupied);
+    if (has_neighbour) {
+      ASSERT_TRUE(grid.InsertScan(std::vector{beside}).ok());
+    }
+    ASSERT_TRUE(grid.InsertScan(std::vector{through}).ok());
+    EXPECT_EQ(At(*grid.ToOctree(), {1.02, 0.02, 0.02}),
+              has_neighbour ? Cell::kOccupied : Cell::kFree);
+  }
+}
+
+// Leaves of any size come in with the voxels whose centres they hold.
+TEST(OccupancyGrid, TakesInWhatAnotherMapKnows) {
+  for (const double size_m : {0.02, 0.05, 0.08, 0.1}) {
+    octomap::OcTree known(size_m);
+    for (double x = 0.5 * size_m; x < 0.8; x += size_m) {
+      for (double y = 0.5 * size_m; y < 0.8; y += size_m) {
+        known.updateNode(octomap::point3d(static_cast<float>(x), static_cast<float>(y),
+                                          static_cast<float>(0.5 * size_m)),
+                         x > 0.4);
+      }
+    }
+    known.prune();
+    OccupancyGrid grid(kVoxel_m, {});
+    ASSERT_TRUE(grid.InsertKnown(known).ok());
+    const auto octree = grid.ToOctree();
+    for (const double y : {0.025, 0.375, 0.725}) {
+      EXPECT_EQ(At(*octree, {0.025, y, 0.025}), Cell::kFree) << size_m;
+      EXPECT_EQ(At(*octree, {0.325, y, 0.025}), Cell::kFree) << size_m;
+      EXPECT_EQ(At(*octree, {0.475, y, 0.025}), Cell::kOccupied) << size_m;
+      EXPECT_EQ(At(*octree, {0.725, y, 0.025}), Cell::kOccupied) << size_m;
+    }
+    EXPECT_EQ(At(*octree, {0.925, 0.025, 0.025}), Cell::kUnknown) << size_m;
+  }
 }
 
 TEST(OccupancyGrid, AFullMapIsAnError) {

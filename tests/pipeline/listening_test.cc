@@ -161,11 +161,12 @@ TEST_F(ListeningTest, EvidenceLiesOnTheWalls) {
   }
 }
 
-// Localizes each frame and hears what can be heard, as a session does; returns the frames heard.
+// Localizes each frame from `next` on and hears what can be heard, as a session does; returns the
+// frames heard.
 std::size_t ProcessInOrder(Listening& listening, const std::vector<frames::Frame>& drive,
-                           Listening::Output& output) {
-  std::size_t heard = static_cast<std::size_t>(listening.heard());
-  for (std::size_t i = 0; i < drive.size(); ++i) {
+                           Listening::Output& output, std::size_t next = 0) {
+  auto heard = static_cast<std::size_t>(listening.heard());
+  for (std::size_t i = next; i < drive.size(); ++i) {
     listening.Localize(drive[i], output);
     while (heard <= i && !listening.waits()) listening.Hear(drive[heard++], output);
   }
@@ -187,12 +188,7 @@ TEST_F(ListeningTest, ARobotWithoutAStartIsHeardOnceItKnowsWhereItWas) {
   const std::vector<frames::Frame> beginning(drive.begin(), drive.begin() + 70);
   EXPECT_LT(ProcessInOrder(*unknown, beginning, output), beginning.size());
   EXPECT_TRUE(output.scans.empty()) << "it does not know where it is";
-  std::size_t heard = static_cast<std::size_t>(unknown->heard());
-  for (std::size_t i = beginning.size(); i < drive.size(); ++i) {
-    unknown->Localize(drive[i], output);
-    while (heard <= i && !unknown->waits()) unknown->Hear(drive[heard++], output);
-  }
-  EXPECT_EQ(heard, drive.size());
+  EXPECT_EQ(ProcessInOrder(*unknown, drive, output, beginning.size()), drive.size());
   unknown->Finish(output);
   EXPECT_GE(output.scans.size(), expected.scans.size() - 2) << "nothing is lost";
   for (const Listening::Scan& scan : output.scans) {
@@ -222,27 +218,36 @@ TEST_F(ListeningTest, WhatARobotHeardThatNeverKnewWhereItWasIsLeftOutAndSaid) {
   }));
 }
 
+// From the start, or a third of the way, a robot that knows where it is; one that searches, and
+// one that has just been found and looks back.
 TEST_F(ListeningTest, GoesOnBitForBitFromASavedState) {
-  const std::vector<frames::Frame> drive = Drive(4.0);
-  for (const std::size_t moment : {std::size_t{1}, drive.size() / 3, drive.size() - 5}) {
-    const auto first = Create();
-    Listening::Output before;
-    for (std::size_t i = 0; i < moment; ++i) Process(*first, drive[i], before);
-    const std::string state = first->SaveState();
-    const auto second = Create();
-    ASSERT_TRUE(second->RestoreState(state).ok());
-    Listening::Output a;
-    Listening::Output b;
-    for (std::size_t i = moment; i < drive.size(); ++i) {
-      Process(*first, drive[i], a);
-      Process(*second, drive[i], b);
+  for (const bool known_start : {true, false}) {
+    pillar_ = !known_start;
+    const std::vector<frames::Frame> drive = Drive(6.0, pillar_);
+    const auto create = [&] {
+      const auto start = known_start ? std::optional(TruePose(0.0)) : std::nullopt;
+      return Listening::Create(profile_, Robot(), Room(profile_, pillar_), start, 1).value();
+    };
+    for (std::size_t moment = 1; moment < drive.size(); moment += drive.size() / 9) {
+      const auto first = create();
+      Listening::Output before;
+      const std::vector<frames::Frame> beginning(drive.begin(), drive.begin() + moment);
+      ProcessInOrder(*first, beginning, before);
+      const std::string state = first->SaveState();
+      const auto second = create();
+      ASSERT_TRUE(second->RestoreState(state).ok());
+      EXPECT_EQ(second->heard(), first->heard());
+      Listening::Output a;
+      Listening::Output b;
+      ProcessInOrder(*first, drive, a, moment);
+      ProcessInOrder(*second, drive, b, moment);
+      first->Finish(a);
+      second->Finish(b);
+      EXPECT_GT(a.scans.size() + a.path.size(), 0u);
+      EXPECT_TRUE(SameOutput(a, b)) << moment;
+      EXPECT_EQ(first->SaveState(), second->SaveState()) << moment;
+      EXPECT_TRUE(absl::IsDataLoss(second->RestoreState(state.substr(0, state.size() / 2))));
     }
-    first->Finish(a);
-    second->Finish(b);
-    EXPECT_GT(a.scans.size() + a.path.size(), 0u);
-    EXPECT_TRUE(SameOutput(a, b)) << moment;
-    EXPECT_EQ(first->SaveState(), second->SaveState());
-    EXPECT_TRUE(absl::IsDataLoss(second->RestoreState(state.substr(0, state.size() / 2))));
   }
 }
 
