@@ -44,12 +44,13 @@ struct PathError {
 
 PathError ErrorOf(std::span<const StampedPose> path, const DriveModel& model) {
   PathError error;
-  Eigen::Matrix2Xd found(2, path.size()), truth(2, path.size());
+  Eigen::MatrixXd found(2, path.size()), truth(2, path.size());
   for (std::size_t i = 0; i < path.size(); ++i) {
     const Pose2 pose = path[i].map_from_base;
     const Pose2 true_pose = model.MapFromBase(Seconds(path[i].stamp_ns));
-    found.col(static_cast<Eigen::Index>(i)) << pose.x_m, pose.y_m;
-    truth.col(static_cast<Eigen::Index>(i)) << true_pose.x_m, true_pose.y_m;
+    const auto column = static_cast<Eigen::Index>(i);
+    found.col(column) = Eigen::Vector2d(pose.x_m, pose.y_m);
+    truth.col(column) = Eigen::Vector2d(true_pose.x_m, true_pose.y_m);
     error.max_deg = std::max(
         error.max_deg,
         geometry::DegFromRad(std::abs(geometry::NormalizeAngle(pose.yaw_rad - true_pose.yaw_rad))));
