@@ -91,7 +91,7 @@ absl::StatusOr<Localizer> Localizer::Restore(std::shared_ptr<const PreparedPlan>
   const absl::Status refused =
       absl::InvalidArgumentError("the saved state of the localization does not fit this site");
   const Config& config = plan->config;
-  Localizer localizer(plan, calibration);
+  Localizer localizer(std::move(plan), calibration);
 
   std::istringstream engine(state.engine);
   if (!(engine >> localizer.engine_)) return refused;

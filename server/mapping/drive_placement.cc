@@ -11,7 +11,6 @@ namespace soundmap::mapping {
 namespace {
 
 using Eigen::Isometry3d;
-using geometry::Pose2;
 
 // Scans that speak for a drive, and how many of them must agree.
 constexpr int kProbes = 12;

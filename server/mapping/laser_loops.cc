@@ -188,6 +188,7 @@ std::vector<LoopCloser::Candidate> LoopCloser::Candidates(int stretch) const {
   std::sort(near.begin(), near.end());
   if (near.size() > kMaxCandidates) near.resize(kMaxCandidates);
   std::vector<Candidate> candidates;
+  candidates.reserve(near.size());
   for (const auto& [distance_m, other] : near) {
     candidates.push_back({other, way_m[other], CovarianceOf(stretch, other, through)});
   }
