@@ -6,6 +6,7 @@
 #include <cmath>
 #include <complex>
 #include <cstring>
+#include <numeric>
 
 #include "absl/strings/str_cat.h"
 #include "geometry/angles.h"
@@ -128,40 +129,49 @@ absl::StatusOr<std::shared_ptr<const SrpPhat>> SrpPhat::Create(
 absl::Status SrpPhat::Build(double speed_of_sound_mps,
                             const std::vector<Eigen::Vector3d>& mic_in_array_m) {
   constexpr double kSamePlace_m = 1e-6;
-  std::vector<std::vector<Pair>> members;
-  double max_delay_s = 0.0;
+  constexpr double kSameDifference_m = 1e-6;
+  const double same_s = kSameDifference_m / speed_of_sound_mps;
   for (int a = 0; a < microphones_; ++a) {
-    for (int b = a + 1; b < microphones_; ++b) {
+    for (int b = a; b < microphones_; ++b) {
+      PairTarget target{-1, 1.0f};
       const Eigen::Vector3d difference_m = mic_in_array_m[a] - mic_in_array_m[b];
-      if (difference_m.norm() < kSamePlace_m) {
-        return absl::InvalidArgumentError(
-            absl::StrCat("mic_", a, " and mic_", b, " are at the same place"));
-      }
       const Eigen::Vector3d delay_s = difference_m / speed_of_sound_mps;
-      max_delay_s = std::max(max_delay_s, delay_s.norm());
-      constexpr double kSameDifference_m = 1e-6;
-      const double same_s = kSameDifference_m / speed_of_sound_mps;
-      std::size_t group = 0;
-      Pair pair{a, b};
-      for (; group < groups_.size(); ++group) {
-        if ((groups_[group].delay_s - delay_s).norm() < same_s) break;
-        if ((groups_[group].delay_s + delay_s).norm() < same_s) {
-          pair = {b, a};
-          break;
+      if (a != b) {
+        if (difference_m.norm() < kSamePlace_m) {
+          return absl::InvalidArgumentError(
+              absl::StrCat("mic_", a, " and mic_", b, " are at the same place"));
         }
+        int group = 0;
+        for (; group < static_cast<int>(groups_.size()); ++group) {
+          if ((groups_[group].delay_s - delay_s).norm() < same_s) break;
+          if ((groups_[group].delay_s + delay_s).norm() < same_s) {
+            target.sign = -1.0f;
+            break;
+          }
+        }
+        if (group == static_cast<int>(groups_.size())) groups_.push_back({delay_s});
+        ++groups_[group].count;
+        target.group = group;
       }
-      if (group == groups_.size()) {
-        groups_.push_back({delay_s});
-        members.emplace_back();
-      }
-      members[group].push_back(pair);
+      target_.push_back(target);
     }
   }
-  for (std::size_t group = 0; group < groups_.size(); ++group) {
-    groups_[group].first = static_cast<int>(pairs_.size());
-    groups_[group].count = static_cast<int>(members[group].size());
-    pairs_.insert(pairs_.end(), members[group].begin(), members[group].end());
+  std::vector<int> order(groups_.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [this](int a, int b) {
+    return groups_[a].delay_s.norm() > groups_[b].delay_s.norm();
+  });
+  std::vector<int> place(groups_.size());
+  std::vector<PairGroup> sorted;
+  for (const int group : order) {
+    place[group] = static_cast<int>(sorted.size());
+    sorted.push_back(groups_[group]);
   }
+  groups_ = std::move(sorted);
+  for (PairTarget& target : target_) {
+    target.group = target.group < 0 ? static_cast<int>(groups_.size()) : place[target.group];
+  }
+  const double max_delay_s = groups_.front().delay_s.norm();
 
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
   for (const PairGroup& group : groups_) scatter += group.delay_s * group.delay_s.transpose();
@@ -186,6 +196,11 @@ absl::Status SrpPhat::Build(double speed_of_sound_mps,
   BuildInterpolator(max_delay_s);
   BuildCells();
   BuildResponse();
+  std::vector<Eigen::Vector3d> delay_s;
+  for (const PairGroup& group : groups_) delay_s.push_back(group.delay_s);
+  std::vector<double> bin_hz;
+  for (int b = 0; b < layout_.bins; ++b) bin_hz.push_back(layout_.bin_hz(b));
+  harmonic_ = HarmonicSrp::Create(delay_s, bin_hz, grid_);
   return absl::OkStatus();
 }
 
@@ -267,42 +282,48 @@ void SrpPhat::BuildResponse() {
   }
 }
 
-std::vector<float> SrpPhat::Correlate(const PhatSpectra& spectra, float* auto_power) const {
-  const int bins = layout_.bins;
+AudioScan SrpPhat::Scan(const PhatSpectra& spectra) const {
+  // Cross-spectra, eq. (4), and past the last group the power of each microphone.
   const int group_count = static_cast<int>(groups_.size());
-  const float per_frame = 1.0f / spectra.frames;
+  std::vector<float> cross(2 * static_cast<std::size_t>(group_count + 1) * spectra.width);
+  CrossSpectra sum;
+  sum.real = spectra.real.data();
+  sum.imaginary = spectra.imaginary.data();
+  sum.frames = spectra.frames;
+  sum.microphones = microphones_;
+  sum.width = spectra.width;
+  sum.target = target_.data();
+  sum.groups = group_count + 1;
+  sum.group_real = cross.data();
+  sum.group_imaginary = cross.data() + cross.size() / 2;
+  BestKernels().cross_spectra(sum);
 
-  double auto_sum = 0.0;
-  for (std::size_t i = 0; i < spectra.real.size(); ++i) {
-    auto_sum += spectra.real[i] * spectra.real[i] + spectra.imaginary[i] * spectra.imaginary[i];
+  AudioScan scan;
+  const float scale = 1.0f / (static_cast<float>(microphones_) * microphones_ * spectra.frames);
+  const float* own_power = sum.group_real + static_cast<std::size_t>(group_count) * spectra.width;
+  for (int b = 0; b < layout_.bins; ++b) scan.auto_power += scale * own_power[b];
+  scan.power.resize(grid_.size());
+  if (harmonic_) {
+    scan.harmonics = harmonic_->Expand(sum.group_real, sum.group_imaginary, spectra.width, scale,
+                                       scan.auto_power);
+    harmonic_->Synthesize(scan.harmonics, scan.power);
+  } else {
+    for (float& value : cross) value /= static_cast<float>(spectra.frames);
+    scan.correlation = Correlate(sum.group_real, sum.group_imaginary, spectra.width);
+    ScanByLookUp(scan);
   }
-  *auto_power = static_cast<float>(auto_sum / spectra.frames / microphones_ / microphones_);
+  return scan;
+}
 
-  // Cross-spectra C_ab(f) = mean over t of V_a conj(V_b), eq. (4).
-  Eigen::MatrixXf cross_real = Eigen::MatrixXf::Zero(bins, group_count);
-  Eigen::MatrixXf cross_imaginary = Eigen::MatrixXf::Zero(bins, group_count);
-  for (int g = 0; g < group_count; ++g) {
-    float* __restrict real = cross_real.col(g).data();
-    float* __restrict imaginary = cross_imaginary.col(g).data();
-    for (int p = groups_[g].first; p < groups_[g].first + groups_[g].count; ++p) {
-      for (int t = 0; t < spectra.frames; ++t) {
-        const float* __restrict a_real = &spectra.real[spectra.index(t, pairs_[p].a)];
-        const float* __restrict a_imaginary = &spectra.imaginary[spectra.index(t, pairs_[p].a)];
-        const float* __restrict b_real = &spectra.real[spectra.index(t, pairs_[p].b)];
-        const float* __restrict b_imaginary = &spectra.imaginary[spectra.index(t, pairs_[p].b)];
-        for (int f = 0; f < bins; ++f) {
-          real[f] += a_real[f] * b_real[f] + a_imaginary[f] * b_imaginary[f];
-          imaginary[f] += a_imaginary[f] * b_real[f] - a_real[f] * b_imaginary[f];
-        }
-      }
-    }
-  }
-  cross_real *= per_frame;
-  cross_imaginary *= per_frame;
-
+std::vector<float> SrpPhat::Correlate(const float* cross_real, const float* cross_imaginary,
+                                      int width) const {
+  const int group_count = static_cast<int>(groups_.size());
   // g(tau) = sum over f of Re(C e^{-j 2 pi f tau}), eq. (5), its even and its odd part.
-  const Eigen::MatrixXf even = even_basis_ * cross_real;
-  const Eigen::MatrixXf odd = odd_basis_ * cross_imaginary;
+  const auto in_band = [&](const float* cross) {
+    return Eigen::Map<const Eigen::MatrixXf>(cross, width, group_count).topRows(layout_.bins);
+  };
+  const Eigen::MatrixXf even = even_basis_ * in_band(cross_real);
+  const Eigen::MatrixXf odd = odd_basis_ * in_band(cross_imaginary);
 
   std::vector<float> correlation(static_cast<std::size_t>(group_count) * intervals_ * 4);
   std::vector<float> lags(2 * max_lag_ + 1);
@@ -330,10 +351,7 @@ std::vector<float> SrpPhat::Correlate(const PhatSpectra& spectra, float* auto_po
   return correlation;
 }
 
-AudioScan SrpPhat::Scan(const PhatSpectra& spectra) const {
-  AudioScan scan;
-  scan.correlation = Correlate(spectra, &scan.auto_power);
-  scan.power.resize(grid_.size());
+void SrpPhat::ScanByLookUp(AudioScan& scan) const {
   const float scale = 2.0f / (static_cast<float>(microphones_) * microphones_);
   alignas(16) float sums[kTileDirections];
   const Cell* cell = cells_.data();
@@ -357,10 +375,10 @@ AudioScan SrpPhat::Scan(const PhatSpectra& spectra) const {
     const int count = std::min(kTileDirections, grid_.size() - first);
     for (int d = 0; d < count; ++d) scan.power[first + d] = scan.auto_power + scale * sums[d];
   }
-  return scan;
 }
 
 double SrpPhat::PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const {
+  if (harmonic_) return harmonic_->ValueAt(scan.harmonics, direction);
   double sum = 0.0;
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     const double position = groups_[g].delay_s.dot(direction) / lag_step_s_ + centre_;

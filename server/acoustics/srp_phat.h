@@ -8,6 +8,8 @@
 
 #include "absl/status/statusor.h"
 #include "acoustics/config.h"
+#include "acoustics/harmonic_srp.h"
+#include "acoustics/kernels.h"
 #include "acoustics/stft.h"
 #include "geometry/directions.h"
 
@@ -16,10 +18,12 @@ namespace soundmap::acoustics {
 // S(k) of section III: the power of every candidate direction.
 struct AudioScan {
   std::vector<float> power;  // S(theta_i, phi_i, k) of eq. (5), in the order of the grid
-  // What PowerAt() needs: the cross-correlation of every microphone pair in the band, as cubics of
-  // the delay.
+  // What PowerAt() needs, one or the other: the spherical harmonics of S, or the cross-correlation
+  // of every microphone pair in the band, as cubics of the delay, with the part of S that is the
+  // same in every direction.
+  std::vector<float> harmonics;
   std::vector<float> correlation;
-  float auto_power = 0.0f;  // the part of S that is the same in every direction
+  float auto_power = 0.0f;
 };
 
 // Steered response power with the phase transform, eqs. (2)-(5). u_i and p_n are in mic_array, u_i
@@ -27,10 +31,12 @@ struct AudioScan {
 // reached by a plane wave from exactly u_i; incoherent noise averages B/N.
 //
 // |Y|^2 is expanded into the cross-spectra of the microphone pairs, which are averaged over the K
-// frames (eq. 4) and summed over the band (eq. 5) first; each direction then reads one correlation
-// value a pair. Pairs with one difference vector are one. The cubics are chosen so that no power is
-// off by more than 1e-5 B. Immutable; all members may be called on many threads at once, with the
-// same bits as result.
+// frames (eq. 4). Pairs with one difference vector are one. S of a grid in rings is found by way of
+// its spherical harmonics (harmonic_srp.h). For other grids, and for arrays of many wavelengths,
+// the cross-spectra are summed over the band (eq. 5) into correlations, and each direction reads
+// one value a pair. Which way is taken depends on the array and the grid alone. No power is off by
+// more than 1e-5 B. Immutable; all members may be called on many threads at once, with the same
+// bits as result.
 class SrpPhat {
  public:
   // InvalidArgument: not 2 to 64 microphones, a position that is not finite, two microphones at one
@@ -69,6 +75,7 @@ class SrpPhat {
   const geometry::DirectionGrid& grid() const { return grid_; }
   // 1: the microphones lie in a line, 2: in a plane, 3: in space.
   int array_rank() const { return array_rank_; }
+  bool by_harmonics() const { return harmonic_ != nullptr; }
   int microphones() const { return microphones_; }
   int band_bins() const { return layout_.bins; }
 
@@ -76,12 +83,7 @@ class SrpPhat {
   // Microphone pairs (a, b) with one difference vector p_a - p_b.
   struct PairGroup {
     Eigen::Vector3d delay_s;  // (p_a - p_b) / c
-    int first = 0;            // in pairs_
     int count = 0;
-  };
-  struct Pair {
-    int a;
-    int b;
   };
   // Where four neighbouring directions read a pair's correlation.
   struct alignas(16) Cell {
@@ -96,7 +98,9 @@ class SrpPhat {
   void BuildCells();
   void BuildResponse();
   std::int64_t FinePosition(const PairGroup& group, const Eigen::Vector3d& direction) const;
-  std::vector<float> Correlate(const PhatSpectra& spectra, float* auto_power) const;
+  std::vector<float> Correlate(const float* cross_real, const float* cross_imaginary,
+                               int width) const;
+  void ScanByLookUp(AudioScan& scan) const;
   void AddResponse(const Eigen::Vector3d& source, float gain, float offset, int stride,
                    std::span<float> power) const;
   int Tiles() const;
@@ -104,9 +108,10 @@ class SrpPhat {
   FrameLayout layout_;
   geometry::DirectionGrid grid_;
   int microphones_;
-  std::vector<PairGroup> groups_;
-  std::vector<Pair> pairs_;
-  int sample_stride_ = 1;  // in cells
+  std::vector<PairGroup> groups_;   // longest first
+  std::vector<PairTarget> target_;  // of a <= b; those of a = b belong to the group past the last
+  std::unique_ptr<const HarmonicSrp> harmonic_;  // null: by look-up
+  int sample_stride_ = 1;                        // in cells
   int array_rank_ = 3;
   Eigen::Vector3d array_axis_ = Eigen::Vector3d::UnitZ();  // of a line; normal of a plane
 

@@ -194,7 +194,7 @@ int main(int argc, char** argv) {
   benchmark::Initialize(&argc, argv);
   if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
   soundmap::benchmarks::Register("paper_4636", soundmap::acoustics::AcousticsConfig::Paper());
-  soundmap::benchmarks::Register("default_10313", soundmap::acoustics::AcousticsConfig::Default());
+  soundmap::benchmarks::Register("default_10312", soundmap::acoustics::AcousticsConfig::Default());
   benchmark::RunSpecifiedBenchmarks();
   return 0;
 }
