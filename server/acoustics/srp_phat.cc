@@ -20,7 +20,6 @@ constexpr int kTapsBefore = kTaps / 2 - 1;
 constexpr int kTileDirections = 512;
 constexpr double kFinePerLag = 65536.0;
 constexpr int kMaxIntervals = 32000;  // positions fit in 31 bits
-constexpr int kResponseShift = 11;    // 2^(16 - 11) = 32 response samples a lag
 // Worst interpolation error of a unit phasor; S is off by at most B times this.
 constexpr double kMaxPhasorError = 4e-6;
 
@@ -163,19 +162,6 @@ absl::Status SrpPhat::Build(double speed_of_sound_mps,
     pairs_.insert(pairs_.end(), members[group].begin(), members[group].end());
   }
 
-  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-  for (const PairGroup& group : groups_) scatter += group.delay_s * group.delay_s.transpose();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(scatter);  // smallest first
-  constexpr double kFlat = 1e-6;  // relative variance: a thickness of a thousandth of the width
-  const Eigen::Vector3d variance = axes.eigenvalues() / axes.eigenvalues()[2];
-  array_rank_ = variance[1] < kFlat ? 1 : variance[0] < kFlat ? 2 : 3;
-  array_axis_ = axes.eigenvectors().col(array_rank_ == 1 ? 2 : 0);
-  // A plane's normal points up, or forwards, or left.
-  const double orientation = std::abs(array_axis_.z()) > 1e-3   ? array_axis_.z()
-                             : std::abs(array_axis_.x()) > 1e-3 ? array_axis_.x()
-                                                                : array_axis_.y();
-  if (orientation < 0.0) array_axis_ = -array_axis_;
-
   const double smallest_lag_s =
       kLagRadians.back() / (2.0 * kPi * std::max(layout_.bin_hz(layout_.bins - 1), 1.0));
   if (2.0 * (max_delay_s / smallest_lag_s + 2.0) > kMaxIntervals) {
@@ -185,7 +171,7 @@ absl::Status SrpPhat::Build(double speed_of_sound_mps,
   }
   BuildInterpolator(max_delay_s);
   BuildCells();
-  BuildResponse();
+  beam_.emplace(layout_, speed_of_sound_mps, mic_in_array_m, grid_);
   return absl::OkStatus();
 }
 
@@ -223,11 +209,6 @@ std::int64_t SrpPhat::FinePosition(const PairGroup& group, const Eigen::Vector3d
 
 void SrpPhat::BuildCells() {
   constexpr int kCellsPerTile = kTileDirections / 4;
-  constexpr int kSampleDirections = 2000;
-  while (2 * sample_stride_ <= kCellsPerTile &&
-         grid_.size() / (2 * sample_stride_) >= kSampleDirections) {
-    sample_stride_ *= 2;
-  }
   cells_.resize(static_cast<std::size_t>(Tiles()) * groups_.size() * kCellsPerTile);
   Cell* cell = cells_.data();
   for (int tile = 0; tile < Tiles(); ++tile) {
@@ -242,28 +223,6 @@ void SrpPhat::BuildCells() {
         }
       }
     }
-  }
-}
-
-void SrpPhat::BuildResponse() {
-  // Delays of two directions differ by at most twice the largest delay.
-  const int samples_per_lag = static_cast<int>(kFinePerLag) >> kResponseShift;
-  response_centre_ = 2 * (centre_ + 1) * samples_per_lag;
-  response_.resize(2 * response_centre_ + 1);
-  const double bin_spacing_hz =
-      layout_.sample_rate_hz / static_cast<double>(layout_.window_samples);
-  const double mid_hz = 0.5 * (layout_.bin_hz(0) + layout_.bin_hz(layout_.bins - 1));
-  for (int i = 0; i <= 2 * response_centre_; ++i) {
-    const double delay_s = (i - response_centre_) * lag_step_s_ / samples_per_lag;
-    // The sum of cos(2 pi f tau) over equally spaced f. Near a zero of the denominator all terms
-    // agree.
-    const double half_phase = kPi * bin_spacing_hz * delay_s;
-    const double turn = std::remainder(half_phase, kPi);
-    const double dirichlet =
-        std::abs(turn) < 1e-9
-            ? layout_.bins * (std::cos(half_phase) < 0.0 && layout_.bins % 2 == 0 ? -1.0 : 1.0)
-            : std::sin(layout_.bins * half_phase) / std::sin(half_phase);
-    response_[i] = static_cast<float>(std::cos(2.0 * kPi * mid_hz * delay_s) * dirichlet);
   }
 }
 
@@ -370,90 +329,6 @@ double SrpPhat::PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction)
     sum += c[0] + t * (c[1] + t * (c[2] + t * c[3]));
   }
   return scan.auto_power + 2.0 * sum / (microphones_ * microphones_);
-}
-
-double SrpPhat::ResponseAt(const Eigen::Vector3d& source, const Eigen::Vector3d& direction) const {
-  const Eigen::Vector3d difference = direction - source;
-  const double per_s = (1 << (16 - kResponseShift)) / lag_step_s_;
-  double sum = 0.0;
-  for (const PairGroup& group : groups_) {
-    const double position = group.delay_s.dot(difference) * per_s + response_centre_;
-    const int index = static_cast<int>(position);
-    const double t = position - index;
-    sum += group.count * ((1.0 - t) * response_[index] + t * response_[index + 1]);
-  }
-  const double n = microphones_;
-  return layout_.bins / n + 2.0 * sum / (n * n);
-}
-
-void SrpPhat::AddResponse(const Eigen::Vector3d& source, float gain, float offset,
-                          std::span<float> power) const {
-  AddResponse(source, gain, offset, /*stride=*/1, power);
-}
-
-void SrpPhat::AddResponseToSample(const Eigen::Vector3d& source, float gain, float offset,
-                                  std::span<float> power) const {
-  AddResponse(source, gain, offset, sample_stride_, power);
-}
-
-void SrpPhat::AddResponse(const Eigen::Vector3d& source, float gain, float offset, int stride,
-                          std::span<float> power) const {
-  const float scale = 2.0f / (static_cast<float>(microphones_) * microphones_);
-  const float base = static_cast<float>(layout_.bins) / microphones_ - offset;
-  // Half a sample is added so that the shift rounds to the nearest.
-  constexpr std::int32_t kHalf = 1 << (kResponseShift - 1);
-  std::vector<std::int32_t> source_position(groups_.size());
-  for (std::size_t g = 0; g < groups_.size(); ++g) {
-    source_position[g] = static_cast<std::int32_t>(FinePosition(groups_[g], source)) - kHalf;
-  }
-  const float* response = response_.data() + response_centre_;
-  alignas(16) float sums[kTileDirections];
-  const Cell* cell = cells_.data();
-  for (int tile = 0; tile < Tiles(); ++tile) {
-    std::fill(std::begin(sums), std::end(sums), 0.0f);
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const float count = static_cast<float>(groups_[g].count);
-      const std::int32_t origin = source_position[g];
-      for (int d = 0; d < kTileDirections; d += 4 * stride, cell += stride) {
-        const Int4 coarse{cell->interval_x2[0], cell->interval_x2[1], cell->interval_x2[2],
-                          cell->interval_x2[3]};
-        const Int4 fine{cell->fraction[0], cell->fraction[1], cell->fraction[2], cell->fraction[3]};
-        const Int4 index = ((coarse << 15) + fine - origin) >> kResponseShift;
-        const Float4 value{response[index[0]], response[index[1]], response[index[2]],
-                           response[index[3]]};
-        Store(sums + d, Load(sums + d) + count * value);
-      }
-    }
-    const int first = tile * kTileDirections;
-    const int count = std::min(kTileDirections, static_cast<int>(power.size()) - first);
-    for (int d = 0; d < count; d += 4 * stride) {
-      for (int lane = d; lane < std::min(d + 4, count); ++lane) {
-        power[first + lane] += gain * (base + scale * sums[lane]);
-      }
-    }
-  }
-}
-
-double SrpPhat::IncoherentSpread() const {
-  // |Y|^2 of N independent unit phasors over N has the variance (1 - 1/N) / N^2. Neighbours in the
-  // sums of eqs. (4) and (5) are correlated:
-  // |.|^2 of periodic Hann windows by (2/3)^2 one bin apart, (1/6)^2 two bins apart, (1/6)^2 half a
-  // window apart.
-  constexpr double kBins = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
-  constexpr double kFrames = 1.0 + 2.0 / 36.0;
-  const double n = microphones_;
-  return std::sqrt(kBins * kFrames * layout_.bins / layout_.frames_per_scan * (1.0 - 1.0 / n)) / n;
-}
-
-Eigen::Vector3d SrpPhat::Distinguishable(const Eigen::Vector3d& direction) const {
-  if (array_rank_ == 3) return direction;
-  const double along = array_axis_.dot(direction);
-  if (array_rank_ == 2) {
-    return along < 0.0 ? Eigen::Vector3d(direction - 2.0 * along * array_axis_) : direction;
-  }
-  // A point on a half circle from one end of the axis to the other.
-  const double across = std::sqrt(std::max(0.0, 1.0 - along * along));
-  return along * array_axis_ + across * array_axis_.unitOrthogonal();
 }
 
 }  // namespace soundmap::acoustics

@@ -3,10 +3,11 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <memory>
-#include <span>
+#include <optional>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "acoustics/beam_pattern.h"
 #include "acoustics/config.h"
 #include "acoustics/stft.h"
 #include "geometry/directions.h"
@@ -45,30 +46,9 @@ class SrpPhat {
   // S of eq. (5) in any direction.
   double PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const;
 
-  // Eqs. (2)-(5) applied to a unit plane wave from `source`: the response in `direction`, B where
-  // they are equal.
-  double ResponseAt(const Eigen::Vector3d& source, const Eigen::Vector3d& direction) const;
-
-  // power[i] += gain * (ResponseAt(source, grid()[i]) - offset), each response within 1e-2 B
-  // (typically 1e-3 B); for all i, or for those of the sample.
-  void AddResponse(const Eigen::Vector3d& source, float gain, float offset,
-                   std::span<float> power) const;
-  void AddResponseToSample(const Eigen::Vector3d& source, float gain, float offset,
-                           std::span<float> power) const;
-  // About 2000 directions or more, spread over the grid: enough for its statistics.
-  bool InSample(int i) const { return i / 4 % sample_stride_ == 0; }
-
-  // Standard deviation of S, in one direction, in noise that is independent at each microphone.
-  double IncoherentSpread() const;
-
-  // The directions that the array cannot tell from `direction` have the same image under this map:
-  // itself in space, its mirror image for microphones in a plane, a cone for microphones in a line.
-  // Image points of distinguishable directions are as far apart as they are.
-  Eigen::Vector3d Distinguishable(const Eigen::Vector3d& direction) const;
-
+  // The array's response to a plane wave, and to noise.
+  const BeamPattern& beam() const { return *beam_; }
   const geometry::DirectionGrid& grid() const { return grid_; }
-  // 1: the microphones lie in a line, 2: in a plane, 3: in space.
-  int array_rank() const { return array_rank_; }
   int microphones() const { return microphones_; }
   int band_bins() const { return layout_.bins; }
 
@@ -94,11 +74,8 @@ class SrpPhat {
   absl::Status Build(double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m);
   void BuildInterpolator(double max_delay_s);
   void BuildCells();
-  void BuildResponse();
   std::int64_t FinePosition(const PairGroup& group, const Eigen::Vector3d& direction) const;
   std::vector<float> Correlate(const PhatSpectra& spectra, float* auto_power) const;
-  void AddResponse(const Eigen::Vector3d& source, float gain, float offset, int stride,
-                   std::span<float> power) const;
   int Tiles() const;
 
   FrameLayout layout_;
@@ -106,20 +83,16 @@ class SrpPhat {
   int microphones_;
   std::vector<PairGroup> groups_;
   std::vector<Pair> pairs_;
-  int sample_stride_ = 1;  // in cells
-  int array_rank_ = 3;
-  Eigen::Vector3d array_axis_ = Eigen::Vector3d::UnitZ();  // of a line; normal of a plane
+  std::optional<BeamPattern> beam_;
 
   double lag_step_s_ = 0.0;
   int max_lag_ = 0;    // samples of the correlation lie at -max_lag_ .. max_lag_
   int intervals_ = 0;  // interval j spans lags j - centre_ .. j - centre_ + 1
   int centre_ = 0;
-  Eigen::MatrixXf even_basis_;   // cos(2 pi f l lag_step), lags 0 .. max_lag_ by bins
-  Eigen::MatrixXf odd_basis_;    // sin
-  Eigen::MatrixXf cubic_;        // 4 coefficients by taps
-  std::vector<Cell> cells_;      // tile by tile, group by group, four directions each
-  std::vector<float> response_;  // sum over the band of cos(2 pi f tau), by delay
-  int response_centre_ = 0;
+  Eigen::MatrixXf even_basis_;  // cos(2 pi f l lag_step), lags 0 .. max_lag_ by bins
+  Eigen::MatrixXf odd_basis_;   // sin
+  Eigen::MatrixXf cubic_;       // 4 coefficients by taps
+  std::vector<Cell> cells_;     // tile by tile, group by group, four directions each
 };
 
 }  // namespace soundmap::acoustics
