@@ -24,7 +24,7 @@ double ResidualAt(const SrpPhat& srp, const AudioScan& scan, const std::vector<R
   const double incoherent = static_cast<double>(srp.band_bins()) / srp.microphones();
   double power = srp.PowerAt(scan, direction);
   for (const Removed& wave : removed) {
-    power -= wave.gain * (srp.ResponseAt(wave.source, direction) - incoherent);
+    power -= wave.gain * (srp.beam().ResponseAt(wave.source, direction) - incoherent);
   }
   return power;
 }
@@ -77,7 +77,7 @@ Background BackgroundOf(const SrpPhat& srp, const std::vector<float>& power) {
   std::vector<float> sample;
   sample.reserve(power.size());
   for (int i = 0; i < static_cast<int>(power.size()); ++i) {
-    if (srp.InSample(i)) sample.push_back(power[i]);
+    if (srp.beam().InSample(i)) sample.push_back(power[i]);
   }
   const auto at = [&](std::size_t rank) {
     return sample.begin() + static_cast<std::ptrdiff_t>(rank);
@@ -105,7 +105,7 @@ std::vector<float> DoubleThresholdLikelihood(std::span<const float> power,
 
 Peaks FindPeaks(const SrpPhat& srp, const AudioScan& scan, const PeakEvidence& evidence) {
   const double incoherent = static_cast<double>(srp.band_bins()) / srp.microphones();
-  const double least_height = evidence.threshold_incoherent_spreads * srp.IncoherentSpread();
+  const double least_height = evidence.threshold_incoherent_spreads * srp.beam().IncoherentSpread();
   const geometry::DirectionGrid& grid = srp.grid();
   Peaks found;
   std::vector<float> residual = scan.power;
@@ -126,20 +126,20 @@ Peaks FindPeaks(const SrpPhat& srp, const AudioScan& scan, const PeakEvidence& e
         (power - std::max(background.floor, incoherent)) / (srp.band_bins() - incoherent);
     const auto offset = static_cast<float>(incoherent);
     // The peak must stand out of what is left without it: its own side lobes are no noise.
-    srp.AddResponseToSample(direction, static_cast<float>(-gain), offset, without_peak);
+    srp.beam().AddResponseToSample(direction, static_cast<float>(-gain), offset, without_peak);
     const Background rest = BackgroundOf(srp, without_peak);
     if (!(power > rest.floor + std::max(evidence.threshold_spreads * rest.spread, least_height))) {
       break;
     }
     background = rest;
     removed.push_back({direction, gain});
-    srp.AddResponse(direction, static_cast<float>(-gain), offset, residual);
+    srp.beam().AddResponse(direction, static_cast<float>(-gain), offset, residual);
     const bool moved_off = start.dot(direction) < std::cos(grid.spacing_rad());
     if (moved_off && !Covers(grid, direction)) continue;
-    if (srp.array_rank() == 2) {
+    if (srp.beam().array_rank() == 2) {
       // Both images are equally true; one side is reported, so that a source does not jump between
       // them.
-      const Eigen::Vector3d image = srp.Distinguishable(direction);
+      const Eigen::Vector3d image = srp.beam().Distinguishable(direction);
       if (Covers(grid, image)) direction = image;
     }
     found.peaks.push_back({direction, power});
@@ -157,11 +157,12 @@ std::vector<float> PeakLikelihood(const SrpPhat& srp, std::span<const Peak> peak
   std::vector<float> likelihood(grid.size(), static_cast<float>(evidence.p_rest));
   if (peaks.empty()) return likelihood;
   std::vector<Eigen::Vector3d> image;
-  for (const Peak& peak : peaks) image.push_back(srp.Distinguishable(peak.direction_in_array));
+  for (const Peak& peak : peaks)
+    image.push_back(srp.beam().Distinguishable(peak.direction_in_array));
   const double peak_cosine = std::cos(evidence.peak_radius_rad);
   const double undecided_cosine = std::cos(evidence.undecided_radius_rad);
   for (int i = 0; i < grid.size(); ++i) {
-    const Eigen::Vector3d candidate = srp.Distinguishable(grid[i]);
+    const Eigen::Vector3d candidate = srp.beam().Distinguishable(grid[i]);
     double nearest = -1.0;
     for (const Eigen::Vector3d& peak : image) nearest = std::max(nearest, peak.dot(candidate));
     if (nearest >= peak_cosine) {

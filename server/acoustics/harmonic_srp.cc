@@ -46,22 +46,22 @@ int OrdersBefore(int kind, int max_order) {
 
 }  // namespace
 
-std::unique_ptr<const HarmonicSrp> HarmonicSrp::Create(const std::vector<Eigen::Vector3d>& delay_s,
-                                                       const std::vector<double>& bin_hz,
+std::unique_ptr<const HarmonicSrp> HarmonicSrp::Create(const FrameLayout& layout,
+                                                       const std::vector<Eigen::Vector3d>& delay_s,
                                                        const geometry::DirectionGrid& grid,
                                                        const Kernels& kernels) {
   const std::optional<RingGrid> rings = FindRings(grid);
   if (!rings) return nullptr;
   std::unique_ptr<HarmonicSrp> srp(new HarmonicSrp(kernels));
-  if (!srp->Build(delay_s, bin_hz, *rings, grid.size())) return nullptr;
+  if (!srp->Build(delay_s, layout, *rings, grid.size())) return nullptr;
   return srp;
 }
 
-bool HarmonicSrp::Build(const std::vector<Eigen::Vector3d>& delay_s,
-                        const std::vector<double>& bin_hz, const RingGrid& grid, int directions) {
-  const double max_rad_s = 2.0 * kPi * bin_hz.back();
+bool HarmonicSrp::Build(const std::vector<Eigen::Vector3d>& delay_s, const FrameLayout& layout,
+                        const RingGrid& grid, int directions) {
+  const double max_rad_s = 2.0 * kPi * layout.bin_hz(layout.bins - 1);
   if (max_rad_s * delay_s.front().norm() > kMaxDegree) return false;
-  bins_ = static_cast<int>(bin_hz.size());
+  bins_ = layout.bins;
   pairs_ = static_cast<int>(delay_s.size());
   centre_azimuth_rad_ = grid.centre_azimuth_rad;
   double floats = 0.0;  // of all tables, roughly
@@ -83,17 +83,17 @@ bool HarmonicSrp::Build(const std::vector<Eigen::Vector3d>& delay_s,
   for (const Ring& ring : grid.rings) {
     floats += 0.5 * degree_ * degree_ + 2.0 * degree_ * ring.base_count();
   }
-  // A look-up takes about as long as eight steps along the tables here.
+  // A look-up takes about as long as four steps along the tables here.
   constexpr double kFloatsPerLookUp = 4.0;
   if (floats > kFloatsPerLookUp * pairs_ * directions) return false;
-  BuildPairs(delay_s, bin_hz);
+  BuildPairs(delay_s, layout);
   BuildRings(grid);
   BuildRecurrence();
   return true;
 }
 
 void HarmonicSrp::BuildPairs(const std::vector<Eigen::Vector3d>& delay_s,
-                             const std::vector<double>& bin_hz) {
+                             const FrameLayout& layout) {
   even_ = PaddedToRow(degree_ / 2 + 1);
   odd_ = PaddedToRow((degree_ + 1) / 2);
   for (Length& length : lengths_) {
@@ -106,12 +106,12 @@ void HarmonicSrp::BuildPairs(const std::vector<Eigen::Vector3d>& delay_s,
     const double length_s = delay_s[length.first].norm();
     for (int b = 0; b < bins_; ++b) {
       const std::vector<double> j =
-          SphericalBessel(length.degree, 2.0 * kPi * bin_hz[b] * length_s);
+          SphericalBessel(length.degree, 2.0 * kPi * layout.bin_hz(b) * length_s);
       for (int l = 0; l <= length.degree; ++l) {
         // Re(C (-j)^l) is Re C, Im C, -Re C, -Im C, ..
         const double sign = l / 2 % 2 == 0 ? 1.0 : -1.0;
         (l % 2 == 0 ? even_table + b * even : odd_table + b * odd)[l / 2] =
-            static_cast<float>(4.0 * kPi * 2.0 * sign * j[l]);
+            static_cast<float>(4.0 * kPi * sign * j[l]);
       }
     }
   }

@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "acoustics/config.h"
 #include "acoustics/kernels.h"
 #include "acoustics/ring_grid.h"
 #include "geometry/directions.h"
@@ -27,15 +28,15 @@ class HarmonicSrp {
 
   // `delay_s`: the pairs' delay vectors, longest first. Null: the directions are not in rings, or
   // the array is so large for its grid that the tables would exceed those of look-ups.
-  static std::unique_ptr<const HarmonicSrp> Create(const std::vector<Eigen::Vector3d>& delay_s,
-                                                   const std::vector<double>& bin_hz,
+  static std::unique_ptr<const HarmonicSrp> Create(const FrameLayout& layout,
+                                                   const std::vector<Eigen::Vector3d>& delay_s,
                                                    const geometry::DirectionGrid& grid,
                                                    const Kernels& kernels = BestKernels());
 
   int degree() const { return degree_; }
 
-  // The harmonics of `constant` plus twice the sum over all pairs and bins of Re(C e^{-j w d.u}),
-  // times `scale`. The cross-spectra C are pair by pair, in rows of `width` bins.
+  // The harmonics of `constant` plus `scale` times the sum over all pairs and bins of
+  // Re(C e^{-j w d.u}). The cross-spectra C are pair by pair, in rows of `width` bins.
   std::vector<float> Expand(const float* real, const float* imaginary, int width, float scale,
                             float constant) const;
   // What they add up to in every direction of the grid, and in any one.
@@ -65,9 +66,9 @@ class HarmonicSrp {
   };
 
   explicit HarmonicSrp(const Kernels& kernels) : kernels_(kernels) {}
-  bool Build(const std::vector<Eigen::Vector3d>& delay_s, const std::vector<double>& bin_hz,
+  bool Build(const std::vector<Eigen::Vector3d>& delay_s, const FrameLayout& layout,
              const RingGrid& grid, int directions);
-  void BuildPairs(const std::vector<Eigen::Vector3d>& delay_s, const std::vector<double>& bin_hz);
+  void BuildPairs(const std::vector<Eigen::Vector3d>& delay_s, const FrameLayout& layout);
   void BuildRings(const RingGrid& grid);
   void BuildRecurrence();
   // harmonics[HarmonicIndex(l, m, sine)]: rows of equal l - m.

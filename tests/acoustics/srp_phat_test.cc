@@ -161,7 +161,7 @@ TEST(SrpPhat, IncoherentNoiseAveragesBandBinsOverMicrophones) {
     }
     const double values = static_cast<double>(kScans) * grid.size();
     EXPECT_NEAR(sum / values, 0.0, 0.01 * layout.bins / count);
-    EXPECT_NEAR(std::sqrt(squares / values) / srp->IncoherentSpread(), 1.0, 0.1);
+    EXPECT_NEAR(std::sqrt(squares / values) / srp->beam().IncoherentSpread(), 1.0, 0.1);
   }
 }
 
@@ -176,9 +176,9 @@ TEST(SrpPhat, TheResponseIsTheScanOfAUnitWave) {
     const Eigen::Vector3d source = RandomDirection(random);
     const AudioScan scan = srp->Scan(testing::WaveSpectra(layout, microphones, source, random));
     std::vector<float> response(grid.size(), 1.0f);
-    srp->AddResponse(source, 2.0f, 0.5f, response);
+    srp->beam().AddResponse(source, 2.0f, 0.5f, response);
     for (int i = 0; i < grid.size(); ++i) {
-      EXPECT_NEAR(srp->ResponseAt(source, grid[i]), scan.power[i], 1e-3 * layout.bins);
+      EXPECT_NEAR(srp->beam().ResponseAt(source, grid[i]), scan.power[i], 1e-3 * layout.bins);
       EXPECT_NEAR(response[i], 1.0 + 2.0 * (scan.power[i] - 0.5), 2e-2 * layout.bins);
     }
   }
@@ -191,7 +191,8 @@ TEST(SrpPhat, KnowsWhatTheArrayCannotTellApart) {
   const auto distance = [&](const Microphones& microphones, const Eigen::Vector3d& a,
                             const Eigen::Vector3d& b) {
     const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
-    return testing::AngleBetween_deg(srp->Distinguishable(a), srp->Distinguishable(b));
+    return testing::AngleBetween_deg(srp->beam().Distinguishable(a),
+                                     srp->beam().Distinguishable(b));
   };
   Microphones space = RandomArray(6, 0.2, random);
   Microphones plane = space;
