@@ -44,12 +44,40 @@ struct CrossSpectra {
   float* group_imaginary = nullptr;
 };
 
+// One frame of all microphones, two of them in one row of complex numbers: row p has the samples of
+// microphones 2 p and 2 p + 1 as real and imaginary parts (0 where there is none), times the
+// window.
+struct FrameRows {
+  const std::int16_t* samples = nullptr;  // interleaved
+  int microphones = 0;
+  int count = 0;                  // samples of each
+  const float* window = nullptr;  // every value twice
+  float* row = nullptr;
+  std::ptrdiff_t row_stride = 0;  // in floats
+  float* energy = nullptr;        // of each row: the sum of all squares
+};
+
+// Eq. (1) for the two microphones of a row: from the transform Z of its complex numbers, with Z_W =
+// Z_0 behind it, the spectra (Z_b + conj Z_{W-b}) / 2 and (Z_b - conj Z_{W-b}) / 2j, divided by
+// their magnitudes. A bin whose power is not above `silent` gives 0.
+struct RowPhat {
+  const float* transform = nullptr;  // 2 W + 2 floats, and kRowFloats readable ones on either side
+  int window_samples = 0;            // W
+  int first_bin = 0;
+  int bins = 0;
+  float silent = 0.0f;
+  float* real[2] = {};  // PaddedToRow(bins); null: there is no second microphone
+  float* imaginary[2] = {};
+};
+
 // The inner loops, for one kind of processor. Every kind gives the same bits: products are rounded
 // before they are added, and the order of additions does not depend on the width of the vectors.
 struct Kernels {
   const char* name;
   void (*weigh_rows)(const WeightedRows&);
   void (*cross_spectra)(const CrossSpectra&);
+  void (*fill_rows)(const FrameRows&);
+  void (*phat)(const RowPhat&);
 };
 
 // Those that this processor can run, the fastest last.
