@@ -103,9 +103,10 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   result.fault = FaultIn(samples);
   if (!result.fault.empty()) return result;
 
-  const PhatSpectra spectra = stft_.Analyze(
+  const PhatSpectra& spectra = stft_.Analyze(
       {samples, static_cast<std::size_t>(layout_.scan_samples()) * srp_->microphones()});
-  const AudioScan scan = srp_->Scan(spectra);
+  srp_->Scan(spectra, scan_);
+  const AudioScan& scan = scan_;
   if (const auto* thresholds = std::get_if<DoubleThreshold>(&config_.evidence)) {
     result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
     return result;
@@ -121,6 +122,22 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
 std::string AudioScanner::FaultIn(const std::int16_t* samples) const {
   const int channels = srp_->microphones();
   const int count = layout_.scan_samples();
+  // A microphone that stands still for a hop does so from the start of some half hop to its end.
+  const int half = layout_.hop_samples() / 2;
+  const auto changes_in = [&](int first) {
+    int moving = 0;  // those before it have changed
+    for (int s = first + 1; s < first + half; ++s) {
+      const std::int16_t* now = samples + static_cast<std::size_t>(s) * channels;
+      // The first one that waits for a change leads.
+      while (moving < channels && now[moving] != now[moving - channels]) ++moving;
+    }
+    return moving == channels;
+  };
+  bool all_move = half >= 2;
+  for (int first = 0; all_move && first + half <= count; first += half)
+    all_move = changes_in(first);
+  if (all_move) return {};
+
   std::vector<int> run(channels, 1);
   std::vector<int> longest(channels, 1);
   for (int s = 1; s < count; ++s) {

@@ -62,6 +62,7 @@ class AudioScanner {
   FrameLayout layout_;
   std::shared_ptr<const SrpPhat> srp_;
   Stft stft_;
+  AudioScan scan_;  // keeps its memory from scan to scan
   AudioClock clock_;
   frames::TimeNs last_stamp_ns_ = 0;
   std::int64_t next_sample_ = 0;

@@ -18,6 +18,7 @@ constexpr double kSameHeight = 1e-9;
 // An order counts on a ring where a harmonic of it exceeds this, against a root mean square of 1.
 constexpr double kNegligible = 1e-9;
 constexpr int kMaxDegree = 500;
+constexpr int kRings = 4;  // that one pass along the azimuths serves
 
 // The lowest degree that a pair's series may be cut at; `phase_rad` is w |d|.
 int DegreeFor(double phase_rad) {
@@ -172,6 +173,8 @@ void HarmonicSrp::BuildRings(const RingGrid& grid) {
       count = static_cast<int>(h) + 1;
     }
     heights_of_order_.push_back(PaddedToRow(count));
+    rings_of_order_.push_back(static_cast<int>(std::count_if(
+        rings_.begin(), rings_.end(), [&](const RingPlace& ring) { return ring.height < count; })));
     for (int odd = 0; odd < 2; ++odd) {
       legendre_at_.push_back(legendre_.size());
       for (int l = m + odd; l <= degree_; l += 2) {
@@ -225,9 +228,18 @@ void HarmonicSrp::BuildRecurrence() {
   }
 }
 
-std::vector<float> HarmonicSrp::Expand(const float* real, const float* imaginary, int width,
-                                       float scale, float constant) const {
-  std::vector<float> by_degree(static_cast<std::size_t>(pairs_) * (even_ + odd_));
+std::size_t HarmonicSrp::workspace_floats() const {
+  const std::size_t by_degree = static_cast<std::size_t>(pairs_) * (even_ + odd_);
+  const std::size_t by_height = 4 * static_cast<std::size_t>(degree_ + 1) * heights_;
+  const std::size_t by_order = rings_.size() * (2 * degree_ + 1);
+  return std::max(by_degree + PaddedToRow(2 * degree_ + 1),
+                  by_height + by_order + 4 * static_cast<std::size_t>(kRings) * widest_);
+}
+
+void HarmonicSrp::Expand(const float* real, const float* imaginary, int width, float scale,
+                         float constant, float* workspace, std::vector<float>& harmonics) const {
+  float* by_degree = workspace;
+  float* of_degree = workspace + static_cast<std::ptrdiff_t>(pairs_) * (even_ + odd_);
   for (const Length& length : lengths_) {
     WeightedRows product;
     product.rows = bins_;
@@ -237,7 +249,7 @@ std::vector<float> HarmonicSrp::Expand(const float* real, const float* imaginary
     product.row = &bessel_[length.table];
     product.row_stride = product.width = PaddedToRow(length.degree / 2 + 1);
     product.weight = real + static_cast<std::ptrdiff_t>(length.first) * width;
-    product.sum = &by_degree[static_cast<std::size_t>(length.first) * (even_ + odd_)];
+    product.sum = by_degree + static_cast<std::ptrdiff_t>(length.first) * (even_ + odd_);
     kernels_.weigh_rows(product);
     product.row += bins_ * product.row_stride;
     product.row_stride = product.width = PaddedToRow((length.degree + 1) / 2);
@@ -245,28 +257,31 @@ std::vector<float> HarmonicSrp::Expand(const float* real, const float* imaginary
     product.sum += even_;
     kernels_.weigh_rows(product);
   }
-  std::vector<float> harmonics(2 * static_cast<std::size_t>(degree_ + 1) * row_);
-  std::vector<float> of_degree(PaddedToRow(2 * degree_ + 1));
+  harmonics.resize(2 * static_cast<std::size_t>(degree_ + 1) * row_);
   for (int l = 0; l <= degree_; ++l) {
     WeightedRows product;
     product.rows = pairs_of_degree_[l];
     product.row = &pair_harmonics_[pair_harmonics_at_[l]];
     product.row_stride = product.width = PaddedToRow(2 * l + 1);
-    product.weight = &by_degree[(l % 2 == 0 ? 0 : even_) + l / 2];
+    product.weight = by_degree + (l % 2 == 0 ? 0 : even_) + l / 2;
     product.weight_step = even_ + odd_;
     product.sums = 1;
-    product.sum = of_degree.data();
+    product.sum = of_degree;
     kernels_.weigh_rows(product);
     for (int m = 0; m <= l; ++m) harmonics[HarmonicIndex(l, m, false)] = scale * of_degree[m];
     for (int m = 1; m <= l; ++m) harmonics[HarmonicIndex(l, m, true)] = scale * of_degree[l + m];
   }
   harmonics[0] += static_cast<float>(constant * std::sqrt(4.0 * kPi));
-  return harmonics;
 }
 
-void HarmonicSrp::Synthesize(std::span<const float> harmonics, std::span<float> value) const {
+void HarmonicSrp::Synthesize(std::span<const float> harmonics, float* workspace,
+                             std::span<float> value) const {
+  const int orders = 2 * degree_ + 1;
   // By order, parity of l - m, cosine or sine: heights.
-  std::vector<float> by_height(4 * static_cast<std::size_t>(degree_ + 1) * heights_);
+  float* by_height = workspace;
+  // By ring: orders of the four kinds.
+  float* by_order = by_height + static_cast<std::ptrdiff_t>(4) * (degree_ + 1) * heights_;
+  float* sums = by_order + static_cast<std::ptrdiff_t>(rings_.size()) * orders;
   for (int m = 0; m <= degree_; ++m) {
     for (int odd = 0; odd < 2 && m + odd <= degree_; ++odd) {
       WeightedRows product;
@@ -277,26 +292,25 @@ void HarmonicSrp::Synthesize(std::span<const float> harmonics, std::span<float> 
       product.weight_stride = row_;
       product.weight_step = 4 * row_;
       product.sums = m == 0 ? 1 : 2;
-      product.sum = &by_height[static_cast<std::size_t>(4 * m + 2 * odd) * heights_];
+      product.sum = by_height + static_cast<std::ptrdiff_t>(4 * m + 2 * odd) * heights_;
       product.sum_stride = heights_;
       kernels_.weigh_rows(product);
     }
   }
-  // By ring: orders of the four kinds.
-  const int orders = 2 * degree_ + 1;
-  std::vector<float> by_order(rings_.size() * orders);
   for (int kind = 0, column = 0; kind < 4; ++kind) {
     for (int m = kFirstOrder[kind]; m <= degree_; m += 2, ++column) {
-      const float* even = &by_height[static_cast<std::size_t>(4 * m + kind / 2) * heights_];
-      const float* odd = even + 2 * heights_;
-      for (std::size_t r = 0; r < rings_.size(); ++r) {
-        const int h = rings_[r].height;
-        by_order[r * orders + column] = rings_[r].south ? even[h] - odd[h] : even[h] + odd[h];
+      const float* even = by_height + static_cast<std::ptrdiff_t>(4 * m + kind / 2) * heights_;
+      const float* odd = even + 2 * static_cast<std::ptrdiff_t>(heights_);
+      float* to = by_order + column;
+      int r = 0;
+      for (; r < rings_of_order_[m]; ++r, to += orders) {
+        const float odd_part = m == degree_ ? 0.0f : odd[rings_[r].height];
+        const float even_part = even[rings_[r].height];
+        *to = rings_[r].south ? even_part - odd_part : even_part + odd_part;
       }
+      for (; r < static_cast<int>(rings_.size()); ++r, to += orders) *to = 0.0f;
     }
   }
-  constexpr int kRings = 4;
-  std::vector<float> sums(static_cast<std::size_t>(4) * kRings * widest_);
   for (const Azimuths& arc : arcs_) {
     for (int first = arc.first; first < arc.first + arc.count; first += kRings) {
       WeightedRows product;
@@ -307,15 +321,15 @@ void HarmonicSrp::Synthesize(std::span<const float> harmonics, std::span<float> 
       product.sum_stride = static_cast<std::ptrdiff_t>(4) * widest_;
       for (int kind = 0; kind < 4; ++kind) {
         product.rows = OrdersOf(kind, arc.max_order);
-        product.weight = by_order.data() + first * static_cast<std::ptrdiff_t>(orders) +
-                         OrdersBefore(kind, degree_);
-        product.sum = &sums[static_cast<std::size_t>(kind) * widest_];
+        product.weight =
+            by_order + static_cast<std::ptrdiff_t>(first) * orders + OrdersBefore(kind, degree_);
+        product.sum = sums + static_cast<std::ptrdiff_t>(kind) * widest_;
         kernels_.weigh_rows(product);
         product.row += static_cast<std::ptrdiff_t>(product.rows) * arc.width;
       }
       for (int k = 0; k < product.sums; ++k) {
         const Ring& ring = rings_[first + k].ring;
-        const float* __restrict cos_even = &sums[static_cast<std::size_t>(k) * 4 * widest_];
+        const float* __restrict cos_even = sums + static_cast<std::ptrdiff_t>(4 * k) * widest_;
         const float* __restrict cos_odd = cos_even + widest_;
         const float* __restrict sin_even = cos_odd + widest_;
         const float* __restrict sin_odd = sin_even + widest_;

@@ -35,12 +35,14 @@ class HarmonicSrp {
 
   int degree() const { return degree_; }
 
+  // Floats that the two functions below may overwrite.
+  std::size_t workspace_floats() const;
   // The harmonics of `constant` plus `scale` times the sum over all pairs and bins of
   // Re(C e^{-j w d.u}). The cross-spectra C are pair by pair, in rows of `width` bins.
-  std::vector<float> Expand(const float* real, const float* imaginary, int width, float scale,
-                            float constant) const;
+  void Expand(const float* real, const float* imaginary, int width, float scale, float constant,
+              float* workspace, std::vector<float>& harmonics) const;
   // What they add up to in every direction of the grid, and in any one.
-  void Synthesize(std::span<const float> harmonics, std::span<float> value) const;
+  void Synthesize(std::span<const float> harmonics, float* workspace, std::span<float> value) const;
   double ValueAt(std::span<const float> harmonics, const Eigen::Vector3d& direction) const;
 
  private:
@@ -93,6 +95,7 @@ class HarmonicSrp {
 
   int heights_ = 0;                       // padded; nearest to the equator first
   std::vector<int> heights_of_order_;     // padded, where the order is not negligible
+  std::vector<int> rings_of_order_;       // at those heights
   std::vector<std::size_t> legendre_at_;  // by 2 m + (l - m) % 2: degrees by heights
   std::vector<float> legendre_;
   std::vector<RingPlace> rings_;

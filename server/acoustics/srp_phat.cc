@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "absl/strings/str_cat.h"
+#include "acoustics/flush_denormals.h"
 
 namespace soundmap::acoustics {
 
@@ -86,9 +87,11 @@ absl::Status SrpPhat::Build(double speed_of_sound_mps,
   return absl::OkStatus();
 }
 
-AudioScan SrpPhat::Scan(const PhatSpectra& spectra) const {
+void SrpPhat::Scan(const PhatSpectra& spectra, AudioScan& scan) const {
+  const FlushDenormals flush;
   // Cross-spectra, eq. (4), and past the last group the power of each microphone.
-  std::vector<float> cross(2 * static_cast<std::size_t>(groups_ + 1) * spectra.width);
+  const std::size_t cross_floats = static_cast<std::size_t>(groups_ + 1) * spectra.width;
+  scan.workspace.resize(2 * cross_floats + (harmonic_ ? harmonic_->workspace_floats() : 0));
   CrossSpectra sum;
   sum.real = spectra.real.data();
   sum.imaginary = spectra.imaginary.data();
@@ -97,26 +100,26 @@ AudioScan SrpPhat::Scan(const PhatSpectra& spectra) const {
   sum.width = spectra.width;
   sum.target = target_.data();
   sum.groups = groups_ + 1;
-  sum.group_real = cross.data();
-  sum.group_imaginary = cross.data() + cross.size() / 2;
+  sum.group_real = scan.workspace.data();
+  sum.group_imaginary = scan.workspace.data() + cross_floats;
   BestKernels().cross_spectra(sum);
 
-  AudioScan scan;
-  const float scale = 1.0f / (static_cast<float>(microphones_) * microphones_ * spectra.frames);
-  const float* own_power = sum.group_real + static_cast<std::size_t>(groups_) * spectra.width;
-  for (int b = 0; b < layout_.bins; ++b) scan.auto_power += scale * own_power[b];
-  scan.power.resize(grid_.size());
   // A pair counts twice: as (a, b) and as (b, a).
+  const float scale = 2.0f / (static_cast<float>(microphones_) * microphones_ * spectra.frames);
+  const float* own_power = sum.group_real + static_cast<std::size_t>(groups_) * spectra.width;
+  scan.auto_power = 0.0f;
+  for (int b = 0; b < layout_.bins; ++b) scan.auto_power += 0.5f * scale * own_power[b];
+  scan.power.resize(grid_.size());
   if (harmonic_) {
-    scan.harmonics = harmonic_->Expand(sum.group_real, sum.group_imaginary, spectra.width,
-                                       2.0f * scale, scan.auto_power);
-    harmonic_->Synthesize(scan.harmonics, scan.power);
+    float* workspace = scan.workspace.data() + 2 * cross_floats;
+    harmonic_->Expand(sum.group_real, sum.group_imaginary, spectra.width, scale, scan.auto_power,
+                      workspace, scan.harmonics);
+    harmonic_->Synthesize(scan.harmonics, workspace, scan.power);
   } else {
     scan.correlation =
-        look_up_->Correlate(sum.group_real, sum.group_imaginary, spectra.width, 2.0f * scale);
+        look_up_->Correlate(sum.group_real, sum.group_imaginary, spectra.width, scale);
     look_up_->Read(scan.correlation, scan.auto_power, scan.power);
   }
-  return scan;
 }
 
 double SrpPhat::PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const {

@@ -25,6 +25,7 @@ struct AudioScan {
   std::vector<float> harmonics;
   std::vector<float> correlation;
   float auto_power = 0.0f;
+  std::vector<float> workspace;  // what it was computed in, kept for the next scan
 };
 
 // Steered response power with the phase transform, eqs. (2)-(5). u_i and p_n are in mic_array, u_i
@@ -46,7 +47,13 @@ class SrpPhat {
       const FrameLayout& layout, double speed_of_sound_mps,
       const std::vector<Eigen::Vector3d>& mic_in_array_m, geometry::DirectionGrid grid);
 
-  AudioScan Scan(const PhatSpectra& spectra) const;
+  // Into `scan`, whose memory is used again; or into a new one.
+  void Scan(const PhatSpectra& spectra, AudioScan& scan) const;
+  AudioScan Scan(const PhatSpectra& spectra) const {
+    AudioScan scan;
+    Scan(spectra, scan);
+    return scan;
+  }
 
   // S of eq. (5) in any direction.
   double PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <mutex>
 
+#include "acoustics/flush_denormals.h"
 #include "geometry/angles.h"
 
 namespace soundmap::acoustics {
@@ -70,15 +71,16 @@ struct Stft::Transform {
 Stft::Stft(const FrameLayout& layout, int microphones)
     : layout_(layout),
       microphones_(microphones),
+      spectra_(layout.frames_per_scan, microphones, layout.bins),
       transform_(std::make_unique<Transform>(layout.window_samples, microphones)) {}
 Stft::~Stft() = default;
 Stft::Stft(Stft&&) noexcept = default;
 Stft& Stft::operator=(Stft&&) noexcept = default;
 
-PhatSpectra Stft::Analyze(std::span<const std::int16_t> samples) {
+const PhatSpectra& Stft::Analyze(std::span<const std::int16_t> samples) {
+  const FlushDenormals flush;
   const Kernels& kernels = BestKernels();
   const int window_samples = layout_.window_samples;
-  PhatSpectra spectra(layout_.frames_per_scan, microphones_, layout_.bins);
   FrameRows fill;
   fill.microphones = microphones_;
   fill.count = window_samples;
@@ -102,13 +104,13 @@ PhatSpectra Stft::Analyze(std::span<const std::int16_t> samples) {
       phat.bins = layout_.bins;
       phat.silent = kRoundingLevel * kRoundingLevel * transform_->energy[p];
       for (int part = 0; part < 2 && 2 * p + part < microphones_; ++part) {
-        phat.real[part] = &spectra.real[spectra.index(t, 2 * p + part)];
-        phat.imaginary[part] = &spectra.imaginary[spectra.index(t, 2 * p + part)];
+        phat.real[part] = &spectra_.real[spectra_.index(t, 2 * p + part)];
+        phat.imaginary[part] = &spectra_.imaginary[spectra_.index(t, 2 * p + part)];
       }
       kernels.phat(phat);
     }
   }
-  return spectra;
+  return spectra_;
 }
 
 }  // namespace soundmap::acoustics

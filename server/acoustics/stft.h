@@ -45,12 +45,14 @@ class Stft {
   // `samples`: interleaved, layout.scan_samples() of every microphone.
   // Deviation from eq. (1): a bin of magnitude 0, or so small beside its frame that float
   // arithmetic leaves only rounding there, gives 0.
-  PhatSpectra Analyze(std::span<const std::int16_t> samples);
+  // The result holds until the next call.
+  const PhatSpectra& Analyze(std::span<const std::int16_t> samples);
 
  private:
   struct Transform;
   FrameLayout layout_;
   int microphones_;
+  PhatSpectra spectra_;
   std::unique_ptr<Transform> transform_;
 };
 
