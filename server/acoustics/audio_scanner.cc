@@ -18,12 +18,17 @@ constexpr frames::TimeNs kMaxStamp_ns = std::int64_t{1} << 62;
 }  // namespace
 
 AudioScanner::AudioScanner(const AcousticsConfig& config, const FrameLayout& layout,
+                           const std::vector<Eigen::Vector3d>& mic_in_array_m,
                            std::shared_ptr<const SrpPhat> srp)
     : config_(config),
       layout_(layout),
       srp_(std::move(srp)),
       stft_(layout, srp_->microphones()),
-      clock_(layout.sample_rate_hz) {}
+      clock_(layout.sample_rate_hz) {
+  if (const auto* evidence = std::get_if<PeakEvidence>(&config.evidence)) {
+    finder_.emplace(*evidence, layout, config.speed_of_sound_mps, mic_in_array_m, srp_);
+  }
+}
 
 absl::StatusOr<std::unique_ptr<AudioScanner>> AudioScanner::Create(
     const AcousticsConfig& config, const frames::Calibration& calibration) {
@@ -38,7 +43,8 @@ absl::StatusOr<std::unique_ptr<AudioScanner>> AudioScanner::Create(
   absl::StatusOr<std::shared_ptr<const SrpPhat>> srp = SrpPhat::Create(
       *layout, config.speed_of_sound_mps, calibration.mic_in_array_m, config.MakeGrid());
   if (!srp.ok()) return srp.status();
-  return std::unique_ptr<AudioScanner>(new AudioScanner(config, *layout, *std::move(srp)));
+  return std::unique_ptr<AudioScanner>(
+      new AudioScanner(config, *layout, calibration.mic_in_array_m, *std::move(srp)));
 }
 
 absl::StatusOr<std::vector<LikelihoodScan>> AudioScanner::Push(const frames::AudioBlock& block) {
@@ -110,9 +116,8 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
     result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
     return result;
   }
-  const auto& evidence = std::get<PeakEvidence>(config_.evidence);
-  Peaks found = FindPeaks(*srp_, scan, evidence);
-  result.likelihood = PeakLikelihood(*srp_, found.peaks, evidence);
+  Peaks found = finder_->Find(scan);
+  result.likelihood = finder_->Likelihood(found.peaks);
   result.noise_floor = found.noise_floor;
   result.peaks = std::move(found.peaks);
   return result;

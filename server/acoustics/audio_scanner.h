@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -10,6 +11,7 @@
 #include "acoustics/audio_clock.h"
 #include "acoustics/config.h"
 #include "acoustics/likelihood_scan.h"
+#include "acoustics/peak_finder.h"
 #include "acoustics/srp_phat.h"
 #include "acoustics/stft.h"
 #include "frames/frames.h"
@@ -54,6 +56,7 @@ class AudioScanner {
 
  private:
   AudioScanner(const AcousticsConfig& config, const FrameLayout& layout,
+               const std::vector<Eigen::Vector3d>& mic_in_array_m,
                std::shared_ptr<const SrpPhat> srp);
   LikelihoodScan Scan(const std::int16_t* samples, std::int64_t first_sample);
   std::string FaultIn(const std::int16_t* samples) const;
@@ -61,6 +64,7 @@ class AudioScanner {
   AcousticsConfig config_;
   FrameLayout layout_;
   std::shared_ptr<const SrpPhat> srp_;
+  std::optional<PeakFinder> finder_;  // with PeakEvidence
   Stft stft_;
   AudioClock clock_;
   frames::TimeNs last_stamp_ns_ = 0;

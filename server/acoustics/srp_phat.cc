@@ -171,7 +171,6 @@ absl::Status SrpPhat::Build(double speed_of_sound_mps,
   }
   BuildInterpolator(max_delay_s);
   BuildCells();
-  beam_.emplace(layout_, speed_of_sound_mps, mic_in_array_m, grid_);
   return absl::OkStatus();
 }
 

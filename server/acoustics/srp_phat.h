@@ -3,11 +3,9 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "acoustics/beam_pattern.h"
 #include "acoustics/config.h"
 #include "acoustics/stft.h"
 #include "geometry/directions.h"
@@ -46,8 +44,6 @@ class SrpPhat {
   // S of eq. (5) in any direction.
   double PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const;
 
-  // The array's response to a plane wave, and to noise.
-  const BeamPattern& beam() const { return *beam_; }
   const geometry::DirectionGrid& grid() const { return grid_; }
   int microphones() const { return microphones_; }
   int band_bins() const { return layout_.bins; }
@@ -83,7 +79,6 @@ class SrpPhat {
   int microphones_;
   std::vector<PairGroup> groups_;
   std::vector<Pair> pairs_;
-  std::optional<BeamPattern> beam_;
 
   double lag_step_s_ = 0.0;
   int max_lag_ = 0;    // samples of the correlation lie at -max_lag_ .. max_lag_

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <variant>
@@ -10,6 +11,7 @@
 
 #include "acoustics/audio_scanner.h"
 #include "acoustics/evidence.h"
+#include "acoustics/peak_finder.h"
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
 #include "tests/benchmark/require.h"
@@ -39,6 +41,9 @@ struct Case {
         stft(layout, channels),
         gemm(layout, config.speed_of_sound_mps, microphones, srp->grid()),
         lookup(layout, config.speed_of_sound_mps, microphones, srp->grid()) {
+    if (const auto* evidence = std::get_if<acoustics::PeakEvidence>(&config.evidence)) {
+      finder.emplace(*evidence, layout, config.speed_of_sound_mps, microphones, srp);
+    }
     std::mt19937_64 random(1);
     const int samples = kScans * layout.scan_period_samples() + layout.hop_samples();
     sound = acoustics::testing::Record(
@@ -60,9 +65,7 @@ struct Case {
     if (const auto* thresholds = std::get_if<acoustics::DoubleThreshold>(&config.evidence)) {
       return acoustics::DoubleThresholdLikelihood(scan.power, *thresholds);
     }
-    const auto& evidence = std::get<acoustics::PeakEvidence>(config.evidence);
-    return acoustics::PeakLikelihood(*srp, acoustics::FindPeaks(*srp, scan, evidence).peaks,
-                                     evidence);
+    return finder->Likelihood(finder->Find(scan).peaks);
   }
 
   // Every method against eqs. (2)-(5) in double precision.
@@ -88,6 +91,7 @@ struct Case {
   acoustics::testing::Microphones microphones = acoustics::testing::DomeArray();
   int channels = static_cast<int>(microphones.size());
   std::shared_ptr<const SrpPhat> srp;
+  std::optional<acoustics::PeakFinder> finder;
   acoustics::Stft stft;
   BinGemm gemm;
   GccLookup lookup;
