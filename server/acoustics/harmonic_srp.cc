@@ -84,9 +84,10 @@ bool HarmonicSrp::Build(const std::vector<Eigen::Vector3d>& delay_s, const Frame
   for (const Ring& ring : grid.rings) {
     floats += 0.5 * degree_ * degree_ + 2.0 * degree_ * ring.base_count();
   }
-  // A look-up takes about as long as four steps along the tables here.
-  constexpr double kFloatsPerLookUp = 4.0;
-  if (floats > kFloatsPerLookUp * pairs_ * directions) return false;
+  // In steps along tables like these, of a pair: a look-up, and its correlation beforehand.
+  constexpr double kLookUp = 4.0;
+  constexpr double kCorrelation = 10000.0;
+  if (floats > pairs_ * (kCorrelation + kLookUp * directions)) return false;
   BuildPairs(delay_s, layout);
   BuildRings(grid);
   BuildRecurrence();
@@ -257,7 +258,7 @@ void HarmonicSrp::Expand(const float* real, const float* imaginary, int width, f
     product.sum += even_;
     kernels_.weigh_rows(product);
   }
-  harmonics.resize(2 * static_cast<std::size_t>(degree_ + 1) * row_);
+  harmonics.assign(2 * static_cast<std::size_t>(degree_ + 1) * row_, 0.0f);
   for (int l = 0; l <= degree_; ++l) {
     WeightedRows product;
     product.rows = pairs_of_degree_[l];

@@ -27,7 +27,7 @@ class HarmonicSrp {
   static constexpr double kTruncation = 3e-6;
 
   // `delay_s`: the pairs' delay vectors, longest first. Null: the directions are not in rings, or
-  // the array is so large for its grid that the tables would exceed those of look-ups.
+  // the array is so large for its grid that look-ups would be faster.
   static std::unique_ptr<const HarmonicSrp> Create(const FrameLayout& layout,
                                                    const std::vector<Eigen::Vector3d>& delay_s,
                                                    const geometry::DirectionGrid& grid,

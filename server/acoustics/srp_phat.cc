@@ -83,7 +83,6 @@ absl::Status SrpPhat::Build(double speed_of_sound_mps,
     if (!look_up.ok()) return look_up.status();
     look_up_ = *std::move(look_up);
   }
-  beam_.emplace(layout_, speed_of_sound_mps, mic_in_array_m, grid_);
   return absl::OkStatus();
 }
 

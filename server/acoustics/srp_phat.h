@@ -2,11 +2,9 @@
 
 #include <Eigen/Core>
 #include <memory>
-#include <optional>
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "acoustics/beam_pattern.h"
 #include "acoustics/config.h"
 #include "acoustics/harmonic_srp.h"
 #include "acoustics/kernels.h"
@@ -58,8 +56,6 @@ class SrpPhat {
   // S of eq. (5) in any direction.
   double PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const;
 
-  // The array's response to a plane wave, and to noise.
-  const BeamPattern& beam() const { return *beam_; }
   const geometry::DirectionGrid& grid() const { return grid_; }
   bool by_harmonics() const { return harmonic_ != nullptr; }
   int microphones() const { return microphones_; }
@@ -80,7 +76,6 @@ class SrpPhat {
   std::vector<PairTarget> target_;  // of a <= b; those of a = b belong to a group past the last
   std::unique_ptr<const HarmonicSrp> harmonic_;  // one or the other
   std::unique_ptr<const LookUpSrp> look_up_;
-  std::optional<BeamPattern> beam_;
 };
 
 }  // namespace soundmap::acoustics

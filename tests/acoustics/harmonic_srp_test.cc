@@ -3,8 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
+#include <numeric>
 
+#include "acoustics/flush_denormals.h"
+#include "acoustics/peak_finder.h"
 #include "acoustics/ring_grid.h"
 #include "acoustics/spherical_harmonics.h"
 #include "acoustics/srp_phat.h"
@@ -126,6 +130,84 @@ INSTANTIATE_TEST_SUITE_P(Arrays, HarmonicSrpOracle,
                            return std::to_string(std::get<0>(info.param)) +
                                   (std::get<1>(info.param) ? "InAPlane" : "InSpace");
                          });
+
+TEST(SrpPhat, BothWaysHearTheSameInTwentyScenes) {
+  std::mt19937_64 random(20);
+  const FrameLayout layout = FrameLayout::Create({}, 16000).value();
+  for (int scene = 0; scene < 20; ++scene) {
+    const int count = 4 + static_cast<int>(random() % 13);
+    const Microphones microphones = testing::RandomArray(count, 0.15, random);
+    const DirectionGrid grid = DirectionGrid::EqualArea(RadFromDeg(3.0));
+    // The same directions in an order without rings.
+    std::vector<Eigen::Vector3d> shuffled(grid.begin(), grid.end());
+    std::vector<int> place(grid.size());
+    std::iota(place.begin(), place.end(), 0);
+    std::shuffle(place.begin(), place.end(), random);
+    for (int i = 0; i < grid.size(); ++i) shuffled[i] = grid[place[i]];
+    const auto by_harmonics = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
+    const auto by_look_up =
+        SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, DirectionGrid(shuffled, 0.05))
+            .value();
+    ASSERT_TRUE(by_harmonics->by_harmonics());
+    ASSERT_FALSE(by_look_up->by_harmonics());
+
+    std::vector<testing::PlaneWave> waves;
+    for (int w = static_cast<int>(random() % 4); w > 0; --w) {
+      waves.push_back({RandomDirection(random), 300.0 * w});
+    }
+    const auto samples =
+        testing::Record(microphones, 16000, layout.scan_samples(), waves, 100.0, random);
+    const PhatSpectra spectra = Stft(layout, count).Analyze(samples);
+    const AudioScan fast = by_harmonics->Scan(spectra);
+    const AudioScan plain = by_look_up->Scan(spectra);
+    AudioScan plain_in_order = fast;  // its refinement between directions is tested above
+    for (int i = 0; i < grid.size(); ++i) {
+      ASSERT_NEAR(fast.power[place[i]], plain.power[i], 2e-5 * layout.bins);
+      plain_in_order.power[place[i]] = plain.power[i];
+    }
+    const PeakFinder finder({}, layout, kSpeedOfSound_mps, microphones, by_harmonics);
+    const Peaks found = finder.Find(fast);
+    const Peaks expected = finder.Find(plain_in_order);
+    ASSERT_EQ(found.peaks.size(), expected.peaks.size()) << "scene " << scene;
+    EXPECT_NEAR(found.noise_floor, expected.noise_floor, 1e-3);
+    for (std::size_t p = 0; p < found.peaks.size(); ++p) {
+      EXPECT_NEAR(found.peaks[p].power, expected.peaks[p].power, 1e-3);
+      EXPECT_LT(testing::AngleBetween_deg(found.peaks[p].direction_in_array,
+                                          expected.peaks[p].direction_in_array),
+                0.1);
+    }
+  }
+}
+
+TEST(SrpPhat, AScanInUsedMemoryIsTheSame) {
+  std::mt19937_64 random(21);
+  const FrameLayout layout = FrameLayout::Create({}, 16000).value();
+  AudioScan used;
+  for (const int count : {16, 5, 9}) {
+    for (const double spacing_deg : {2.0, 4.0}) {
+      const Microphones microphones = testing::RandomArray(count, 0.15, random);
+      const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones,
+                                       DirectionGrid::EqualArea(RadFromDeg(spacing_deg)))
+                           .value();
+      const PhatSpectra spectra =
+          testing::WaveSpectra(layout, microphones, RandomDirection(random), random);
+      srp->Scan(spectra, used);
+      const AudioScan fresh = srp->Scan(spectra);
+      EXPECT_EQ(used.power, fresh.power);
+      EXPECT_EQ(used.harmonics, fresh.harmonics);
+    }
+  }
+}
+
+TEST(FlushDenormals, OnlyWhileItLives) {
+  volatile float small = 1e-30f;
+  EXPECT_NE(small * 1e-10f, 0.0f);
+  {
+    const FlushDenormals flush;
+    EXPECT_EQ(small * 1e-10f, 0.0f);
+  }
+  EXPECT_NE(small * 1e-10f, 0.0f);
+}
 
 }  // namespace
 }  // namespace soundmap::acoustics
