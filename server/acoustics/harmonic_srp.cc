@@ -20,15 +20,23 @@ constexpr double kNegligible = 1e-9;
 constexpr int kMaxDegree = 500;
 constexpr int kRings = 4;  // that one pass along the azimuths serves
 
-// The lowest degree that a pair's series may be cut at; `phase_rad` is w |d|.
-int DegreeFor(double phase_rad) {
+// The lowest degree that the series of a pair may be cut at: the terms beyond, averaged over the
+// band, add up to no more than kTruncation in any direction.
+int DegreeFor(const FrameLayout& layout, double length_s) {
+  const double max_phase_rad = 2.0 * kPi * layout.bin_hz(layout.bins - 1) * length_s;
   // Terms fall faster than any power of l beyond l = phase; this is far beyond.
-  const int far = static_cast<int>(phase_rad + 40.0 + 6.0 * std::cbrt(phase_rad));
-  const std::vector<double> j = SphericalBessel(far, phase_rad);
+  const int far = static_cast<int>(max_phase_rad + 40.0 + 6.0 * std::cbrt(max_phase_rad));
+  std::vector<double> terms(far + 1, 0.0);
+  for (int b = 0; b < layout.bins; ++b) {
+    const std::vector<double> j = SphericalBessel(far, 2.0 * kPi * layout.bin_hz(b) * length_s);
+    for (int l = 0; l <= far; ++l) {
+      terms[l] += (2.0 * l + 1.0) * std::abs(j[l]) / layout.bins;
+    }
+  }
   double rest = 0.0;
   int degree = far;
   for (; degree > 0; --degree) {
-    rest += (2.0 * degree + 1.0) * std::abs(j[degree]);
+    rest += terms[degree];
     if (rest > HarmonicSrp::kTruncation) break;
   }
   return degree;
@@ -71,7 +79,7 @@ bool HarmonicSrp::Build(const std::vector<Eigen::Vector3d>& delay_s, const Frame
     constexpr double kSameLength = 1e-9;
     if (lengths_.empty() ||
         length_s < (1.0 - kSameLength) * delay_s[lengths_.back().first].norm()) {
-      const int degree = DegreeFor(max_rad_s * length_s);
+      const int degree = DegreeFor(layout, length_s);
       lengths_.push_back({g, 0, degree});
       floats += static_cast<double>(bins_) * (degree + 1);
     }

@@ -20,11 +20,12 @@ namespace soundmap::acoustics {
 // phase across the array in radians. Each step is cheap for a reason of its own: the first works on
 // each pair alone, the last two on the rings and the azimuths of the grid.
 //
-// Each pair's series is cut where what is left is below kTruncation for any spectrum of magnitude
-// 1, which bounds the error of S / B by kTruncation. Immutable; thread safe.
+// Each pair's series is cut where what is left, averaged over the band, is below kTruncation for
+// any cross-spectrum of magnitude 1. This bounds the error of S / B by kTruncation; it is typically
+// a hundredth of it. Immutable; thread safe.
 class HarmonicSrp {
  public:
-  static constexpr double kTruncation = 3e-6;
+  static constexpr double kTruncation = 1e-5;
 
   // `delay_s`: the pairs' delay vectors, longest first. Null: the directions are not in rings, or
   // the array is so large for its grid that look-ups would be faster.

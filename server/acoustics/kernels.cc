@@ -26,7 +26,7 @@ SOUNDMAP_INLINE V Load(const float* p) {
   return value;
 }
 template <typename V>
-SOUNDMAP_INLINE void Store(float* p, V value) {
+SOUNDMAP_INLINE void Store(float* p, const V& value) {
   std::memcpy(p, &value, sizeof(value));
 }
 
@@ -167,7 +167,7 @@ SOUNDMAP_INLINE void FillRow(const FrameRows& in, int p, int s, Float8& energy) 
   }
 }
 
-SOUNDMAP_INLINE float Total(Float8 v) {
+SOUNDMAP_INLINE float Total(const Float8& v) {
   return ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7]));
 }
 
