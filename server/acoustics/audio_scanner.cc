@@ -105,9 +105,12 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
 
   const PhatSpectra spectra = stft_.Analyze(
       {samples, static_cast<std::size_t>(layout_.scan_samples()) * srp_->microphones()});
+  Done(Step::kSpectra);
   const AudioScan scan = srp_->Scan(spectra);
+  Done(Step::kPower);
   if (const auto* thresholds = std::get_if<DoubleThreshold>(&config_.evidence)) {
     result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
+    Done(Step::kEvidence);
     return result;
   }
   const auto& evidence = std::get<PeakEvidence>(config_.evidence);
@@ -115,6 +118,7 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   result.likelihood = PeakLikelihood(*srp_, found.peaks, evidence);
   result.noise_floor = found.noise_floor;
   result.peaks = std::move(found.peaks);
+  Done(Step::kEvidence);
   return result;
 }
 

@@ -120,6 +120,7 @@ frames::TimeNs MiddleOf(const frames::LidarScan& scan) {
 
 struct Listening::State {
   const Profile& profile;
+  StageClock* const clock;
   const frames::Calibration calibration;
   std::shared_ptr<const localization::PreparedPlan> plan;
   localization::Localizer localizer;
@@ -139,6 +140,9 @@ struct Listening::State {
 
   template <typename SensorFrame>
   void Localize(const SensorFrame& frame, Output& output);
+  void Lap(Stage stage) {
+    if (clock != nullptr) clock->Lap(stage);
+  }
 
   void Hear(const frames::Odometry& odometry);
   void Hear(const frames::LaserScan&) {}
@@ -160,18 +164,26 @@ Listening::~Listening() = default;
 absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
     const Profile& profile, const frames::Calibration& calibration,
     std::shared_ptr<const localization::PreparedPlan> plan,
-    const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed) {
+    const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed, StageClock* clock) {
   std::optional<localization::InitialPose> start;
   if (initial_pose) start = localization::InitialPose{*initial_pose};
   auto localizer = localization::Localizer::Create(plan, calibration, start, seed);
   if (!localizer.ok()) return localizer.status();
-  std::unique_ptr<State> state(new State{profile, calibration, std::move(plan),
+  std::unique_ptr<State> state(new State{profile, clock, calibration, std::move(plan),
                                          *std::move(localizer), nullptr, std::nullopt,
                                          frames::OdometryTrack()});
   if (!calibration.mic_in_array_m.empty() && calibration.audio_sample_rate_hz != 0) {
     auto scanner = acoustics::AudioScanner::Create(profile.acoustics, calibration);
     if (!scanner.ok()) return scanner.status();
     state->scanner = *std::move(scanner);
+    if (clock != nullptr) {
+      state->scanner->WatchSteps([clock](acoustics::AudioScanner::Step step) {
+        using Step = acoustics::AudioScanner::Step;
+        clock->Lap(step == Step::kSpectra ? Stage::kSpectra
+                   : step == Step::kPower ? Stage::kPower
+                                          : Stage::kEvidence);
+      });
+    }
     auto caster = ray_casting::RayCaster::Create(profile.ray_casting, state->scanner->grid(),
                                                  calibration.base_from_array);
     if (!caster.ok()) return caster.status();
@@ -181,7 +193,9 @@ absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
 }
 
 void Listening::Localize(const frames::Frame& frame, Output& output) {
+  state_->Lap(Stage::kSession);
   std::visit([&](const auto& sensor_frame) { state_->Localize(sensor_frame, output); }, frame);
+  state_->Lap(Stage::kLocalize);
 }
 
 void Listening::Hear(const frames::Frame& frame, Output& output) {
@@ -336,6 +350,7 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
     ++counters.scans_without_pose;
     return;
   }
+  Lap(Stage::kSession);
   const auto odom_from_audio_base = track.At(mid_ns);
   if (!odom_from_audio_base || !View(mid_ns)) {
     ++counters.scans_without_range;
@@ -352,6 +367,7 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   view.reference_base_from_audio_base =
       (odom_from_reference_base->Inverse() * *odom_from_audio_base).ToIsometry();
   auto evidence = caster->Cast(scan, view, *pose);
+  Lap(Stage::kCast);
   if (!evidence.ok() || evidence->end_points.empty()) {
     ++counters.scans_without_range;
     return;

@@ -73,7 +73,7 @@ void Region::PublishSourceChanges() {
   for (const auto& [id, source] : gone) events_.Publish(SourceRemoved{id});
 }
 
-absl::Status Region::Commit(const storage::Commit& commit) {
+absl::Status Region::Commit(const storage::Commit& commit, StageClock& clock) {
   std::vector<AudioScanInfo> scans;
   for (const storage::JournalEntry& entry : commit.journal) {
     auto scan = DecodeAudioScan(entry.summary);
@@ -86,11 +86,13 @@ absl::Status Region::Commit(const storage::Commit& commit) {
   const auto sequence = store_->CommitBatch(commit);
   if (!sequence.ok()) return sequence.status();
   sequence_ = *sequence;
+  clock.Lap(Stage::kCommit);
   for (const storage::JournalEntry& entry : commit.journal) {
     const absl::Status applied = map_->Apply(entry.evidence);
     if (!applied.ok()) return applied;
     updates_since_checkpoint_ += static_cast<std::int64_t>(entry.evidence.end_points.size());
   }
+  clock.Lap(Stage::kMap);
   for (AudioScanInfo& scan : scans) events_.Publish(std::move(scan));
   // A checkpoint that fails is tried again after the next commit; the journal has everything.
   if (updates_since_checkpoint_ >= kCheckpointUpdates) CheckpointLocked().IgnoreError();

@@ -9,6 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "pipeline/events.h"
+#include "pipeline/stage_times.h"
 #include "sound_map/sound_map.h"
 #include "sound_map/sound_sources.h"
 #include "storage/store.h"
@@ -35,8 +36,9 @@ class Region {
   // Of the newest revision; found once per revision.
   std::shared_ptr<const Sources> sources() const;
 
-  // All of the commit takes effect, in the store and in the map, or nothing does.
-  absl::Status Commit(const storage::Commit& commit);
+  // All of the commit takes effect, in the store and in the map, or nothing does. `clock` is told
+  // where the stages end.
+  absl::Status Commit(const storage::Commit& commit, StageClock& clock);
 
   // Writes the tiles that changed since the last checkpoint.
   absl::Status Checkpoint();

@@ -35,6 +35,7 @@ Session::Session(SessionRecord record, Site site)
       robot_(record.robot),
       strand_(boost::asio::make_strand(site_.executor)),
       record_(std::move(record)),
+      clock_(site_.times),
       retry_(strand_) {
   commit_.site = record_.site;
   commit_.session = record_.session;
@@ -70,8 +71,9 @@ absl::Status Session::Recover() {
   stored_evidence_ = *heard;
 
   if (record_.purpose == Purpose::kListening) {
-    auto listening = Listening::Create(*site_.profile, record_.calibration, site_.plan,
-                                       record_.initial_pose, storage::Crc32c(record_.session));
+    auto listening =
+        Listening::Create(*site_.profile, record_.calibration, site_.plan, record_.initial_pose,
+                          storage::Crc32c(record_.session), &clock_);
     if (!listening.ok()) return listening.status();
     listening_ = *std::move(listening);
     const auto state = site_.store->LatestState(id());
@@ -300,6 +302,7 @@ absl::StatusOr<std::int64_t> Session::NextEpoch() {
 }
 
 void Session::Process() {
+  clock_.Start();
   {
     std::lock_guard lock(mutex_);
     std::int64_t bytes = 0;
@@ -311,6 +314,7 @@ void Session::Process() {
     }
     if (stopping_ || !fault_.ok() || (batch_.empty() && !IsBehind())) {
       scheduled_ = false;
+      clock_.Stop(Stage::kSession);
       return;
     }
   }
@@ -321,6 +325,7 @@ void Session::Process() {
       fault_ = caught_up;
       scheduled_ = false;
       Wake();
+      clock_.Stop(Stage::kSession);
       return;
     }
   } else {
@@ -361,6 +366,7 @@ absl::Status Session::CatchUp() {
 void Session::CommitAndGoOn() {
   absl::Status status = Commit();
   if (status.ok() && finished_) status = Complete();
+  clock_.Stop(Stage::kSession);
   if (!status.ok()) {
     {
       std::lock_guard lock(mutex_);
@@ -430,10 +436,13 @@ absl::Status Session::Commit() {
     commit_.heard_offset = heard_;
     if (snapshot_ns_ == 0) snapshot_ns_ = batch_last_ns_;
     if (listening_ && !finished_ && batch_last_ns_ - snapshot_ns_ >= kSnapshotInterval_ns) {
+      clock_.Lap(Stage::kSession);
       commit_.state = storage::StateSnapshot{next_, listening_->SaveState()};
+      clock_.Lap(Stage::kState);
       snapshot_ns_ = batch_last_ns_;
     }
-    const absl::Status committed = site_.region->Commit(commit_);
+    clock_.Lap(Stage::kSession);
+    const absl::Status committed = site_.region->Commit(commit_, clock_);
     if (!committed.ok()) {
       commit_.processed_offset = -1;  // to be tried again
       return committed;
