@@ -33,8 +33,11 @@ class Region {
     std::uint64_t revision = 0;
     std::optional<frames::TimeNs> as_of_ns;
   };
-  // Of the newest revision; found once per revision.
+  // As of the last FindSources(): never waits for one, however large the map.
   std::shared_ptr<const Sources> sources() const;
+
+  // Brings sources() to the newest revision, if it is not there.
+  void FindSources();
 
   // All of the commit takes effect, in the store and in the map, or nothing does. `clock` is told
   // where the stages end.
@@ -45,13 +48,14 @@ class Region {
 
   EventRing& events() { return events_; }
 
-  // Publishes the sources that are new, gone or different since the last call.
+  // FindSources(), and publishes the sources that are new, gone or different since the last call.
   void PublishSourceChanges();
 
  private:
   Region(std::string site, storage::Store* store, std::unique_ptr<sound_map::SoundMap> map)
       : site_(std::move(site)), store_(store), map_(std::move(map)) {}
   absl::Status Load();
+  void FindSourcesLocked();
   absl::Status CheckpointLocked();
 
   const std::string site_;
@@ -63,9 +67,10 @@ class Region {
   std::uint64_t sequence_ = 0;  // guarded by writer_mutex_; last journal entry in map_
   std::int64_t updates_since_checkpoint_ = 0;  // guarded by writer_mutex_
 
+  std::mutex finding_mutex_;                  // one search at a time; taken before sources_mutex_
+  std::shared_ptr<const Sources> published_;  // guarded by finding_mutex_
   mutable std::mutex sources_mutex_;
-  mutable std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_
-  std::shared_ptr<const Sources> published_;        // guarded by sources_mutex_
+  std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_; never null once open
 };
 
 }  // namespace soundmap::pipeline

@@ -466,6 +466,9 @@ absl::Status Session::Commit() {
 }
 
 absl::Status Session::Complete() {
+  // Who knows that a drive is processed also finds its sources.
+  site_.region->FindSources();
+  clock_.Lap(Stage::kSources);
   std::unique_lock lock(mutex_);
   if (record_.complete) return absl::OkStatus();
   SessionRecord record = record_;

@@ -56,6 +56,7 @@ absl::StatusOr<std::shared_ptr<Site>> Site::Open(SiteRecord record, storage::Sto
     if (!session.ok()) return session.status();
     site->sessions_[(*session)->record().session] = *session;
   }
+  site->region_->FindSources();  // the sessions may have brought evidence
   return site;
 }
 
