@@ -3,7 +3,6 @@
 
 usage: table.py RUN                 print the table of a run
        table.py RUN --keep KEPT     and keep the run: its files, and the table in KEPT/README.md
-       table.py RUN --check KEPT    and fail when we lead a peer by much less than in the run kept
 
 RUN and KEPT are folders of Google Benchmark's JSON files, a program each, and the one that server.py writes. A benchmark's name is
 GROUP/METHOD; the method `ours` is compared with every other one of its group. All figures are
@@ -15,6 +14,7 @@ import pathlib
 import sys
 
 ALLOWED_LOSS = 0.25  # of a ratio: what a change of machine or a noisy neighbour may cost
+GROWTH = "growth"  # groups whose name begins so are plotted, see plot.py
 NOT_COUNTERS = {
     "name", "family_index", "per_family_instance_index", "run_name", "run_type", "repetitions",
     "threads", "aggregate_name", "aggregate_unit", "iterations", "real_time", "cpu_time",
@@ -166,36 +166,18 @@ def keep(documents, kept):
     page.write_text(before + begin + "\n" + table + "\n" + end + after)
 
 
-def check(groups, kept):
-    now = ratios(groups)
-    lost = False
-    for (group, peer), before in ratios(medians(read(kept))).items():
-        if (group, peer) in now and now[group, peer] < (1.0 - ALLOWED_LOSS) * before:
-            lost = True
-            print(f"{group}: ours is {now[group, peer]:.2f} times as fast as {peer}; "
-                  f"it was {before:.2f}", file=sys.stderr)
-    if not now.keys() & ratios(medians(read(kept))).keys():
-        sys.exit("nothing that was measured is in the run kept")
-    if lost:
-        sys.exit(1)
-
-
 def main():
     arguments = argparse.ArgumentParser(description=__doc__,
                                         formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("run", type=pathlib.Path)
     arguments.add_argument("--keep", type=pathlib.Path, metavar="KEPT")
-    arguments.add_argument("--check", type=pathlib.Path, metavar="KEPT")
     given = arguments.parse_args()
     documents = read(given.run)
     if not documents:
         sys.exit("no benchmark ran")
-    groups = medians(documents)
     print(page_of(documents))
     if given.keep:
         keep(documents, given.keep)
-    if given.check:
-        check(groups, given.check)
 
 
 if __name__ == "__main__":

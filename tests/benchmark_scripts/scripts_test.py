@@ -11,6 +11,7 @@ import unittest
 
 BENCHMARK = pathlib.Path(__file__).resolve().parent.parent / "benchmark"
 sys.path.insert(0, str(BENCHMARK))
+import check  # noqa: E402
 import server  # noqa: E402
 import table  # noqa: E402
 
@@ -28,7 +29,7 @@ SERVER = {"context": {"date": "2026-01-01T00:00:00", "num_cpus": 2}, "empty_memo
                          "wire_bytes_per_s": 8e5, "ms_per_robot_second": {"map": 5.0, "other": 15.0}}}
 
 
-class Table(unittest.TestCase):
+class InAFolder(unittest.TestCase):
     def setUp(self):
         temporary = tempfile.TemporaryDirectory()
         self.addCleanup(temporary.cleanup)
@@ -41,6 +42,8 @@ class Table(unittest.TestCase):
             (folder / f"{program}.json").write_text(json.dumps(content))
         return folder
 
+
+class Table(InAFolder):
     def run_table(self, *arguments):
         return subprocess.run([sys.executable, BENCHMARK / "table.py", *arguments], capture_output=True, text=True)
 
@@ -69,6 +72,96 @@ class Table(unittest.TestCase):
         self.assertNotIn("old", page)
         self.assertIn("Machine: X, 2 cores at 2600 MHz", page)
         self.assertEqual(json.loads((kept / "server.json").read_text())["empty_memory_mb"], 40.0)
+
+
+# A program that knows how long its methods take in its first, second, ... run.
+FAKE = """#!{python}
+import json, pathlib, re, sys
+times = {times!r}
+runs = pathlib.Path(sys.argv[0] + ".runs")
+run = int(runs.read_text()) if runs.exists() else 0
+runs.write_text(str(run + 1))
+options = dict(argument[2:].split("=", 1) for argument in sys.argv[1:])
+entries = [{{"name": name, "run_name": name, "run_type": "iteration", "cpu_time": disturbed * ms[min(run, len(ms) - 1)],
+             "time_unit": "ms"}}
+           for name, ms in times.items() if re.search(options["benchmark_filter"], name)
+           for disturbed in ((3, 1, 2) if name.endswith("ours") else (1, 1, 1))]
+pathlib.Path(options["benchmark_out"]).write_text(json.dumps({{"context": {{}}, "benchmarks": entries}}))
+pathlib.Path(sys.argv[0] + ".filter").write_text(options["benchmark_filter"])
+"""
+
+
+class Check(InAFolder):
+    def program(self, **times):
+        path = self.folder / "a_benchmark"
+        path.write_text(FAKE.format(python=sys.executable, times={name.replace("__", "/"): ms for name, ms in times.items()}))
+        path.chmod(0o755)
+        return path
+
+    def runs(self):
+        return int((self.folder / "a_benchmark.runs").read_text())
+
+    def check(self, **kept):
+        folder = self.folder_of("kept", a=document(**kept), server=SERVER)
+        return subprocess.run([sys.executable, BENCHMARK / "check.py", self.folder, folder], capture_output=True, text=True)
+
+    def test_an_equal_ratio_passes_on_a_machine_of_any_speed(self):
+        self.program(a__ours=[20.0], a__peer=[50.0])
+        result = self.check(a__ours=2.0, a__peer=5.0)
+        self.assertEqual(result.returncode, 0, result.stderr)
+        self.assertEqual(self.runs(), 1)
+
+    def test_a_loss_fails_after_it_was_seen_again(self):
+        self.program(a__ours=[2.0], a__peer=[3.7])  # 1.85 where 2.5 was: 26 % less
+        result = self.check(a__ours=2.0, a__peer=5.0)
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("a: ours is 1.85 times as fast as peer", result.stderr)
+        self.assertEqual(self.runs(), len(check.GOES))
+
+    def test_a_loss_within_the_margin_passes(self):
+        self.program(a__ours=[2.0], a__peer=[3.8])  # 24 % less
+        self.assertEqual(self.check(a__ours=2.0, a__peer=5.0).returncode, 0)
+
+    def test_what_passes_the_second_time_was_noise(self):
+        self.program(a__ours=[4.0, 2.0], a__peer=[5.0, 5.0], b__ours=[1.0], b__peer=[2.0])
+        result = self.check(a__ours=2.0, a__peer=5.0, b__ours=1.0, b__peer=2.0)
+        self.assertEqual(result.returncode, 0, result.stderr)
+        self.assertEqual(self.runs(), 2)
+        self.assertNotIn("b/", (self.folder / "a_benchmark.filter").read_text())  # only what failed runs again
+
+    def test_the_fastest_peer_of_the_kept_run_counts_and_runs_alone(self):
+        self.program(a__ours=[2.0], a__slow=[100.0], a__fast=[3.0])
+        self.assertEqual(self.check(a__ours=2.0, a__slow=100.0, a__fast=3.0).returncode, 0)
+        self.assertNotIn("slow", (self.folder / "a_benchmark.filter").read_text())
+
+    def test_a_slower_peer_that_became_slower_is_no_loss_of_ours(self):
+        self.program(a__ours=[2.0], a__peer=[50.0])
+        self.assertEqual(self.check(a__ours=2.0, a__peer=5.0).returncode, 0)
+
+    def test_a_row_that_is_gone_is_told(self):
+        self.program(a__ours=[2.0], a__peer=[5.0])
+        result = self.check(a__ours=2.0, a__peer=5.0, b__ours=1.0, b__peer=2.0)
+        self.assertEqual(result.returncode, 0)
+        self.assertIn("b: no longer measured against peer", result.stdout)
+
+    def test_nothing_to_measure_is_an_error(self):
+        result = self.check(a__ours=2.0, a__peer=5.0)  # no program
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("nothing of the run kept", result.stderr)
+
+    def test_a_program_that_fails_is_named(self):
+        path = self.folder / "a_benchmark"
+        path.write_text("#!/bin/sh\necho broken >&2\nexit 3\n")
+        path.chmod(0o755)
+        result = self.check(a__ours=2.0, a__peer=5.0)
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("a_benchmark failed: broken", result.stderr)
+
+    def test_growth_is_not_judged(self):
+        self.program(a__ours=[2.0], a__peer=[5.0])
+        kept = {"a__ours": 2.0, "a__peer": 5.0, "growth_x__ours": 1.0, "growth_x__peer": 100.0}
+        self.assertEqual(self.check(**kept).returncode, 0)
+        self.assertNotIn("growth", (self.folder / "a_benchmark.filter").read_text())
 
 
 class Server(unittest.TestCase):
