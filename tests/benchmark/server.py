@@ -203,6 +203,9 @@ class Bench:
             result["two_cores"] = self.median_full_speed(given.robots, given.seconds, both, both)
             result["two_cores"]["speed_up"] = (result["two_cores"]["robots_by_wall"] /
                                                result["full_speed"]["robots_by_wall"])
+        result["growth_robots"] = [
+            {"robots": robots, **self.full_speed(robots, given.growth_seconds, cores_of_server, cores_of_clients)}
+            for robots in given.growth]
         if given.streaming > 0:
             result["streaming"] = self.streaming(given.streaming, given.streaming_seconds)
         return result
@@ -218,12 +221,17 @@ def main():
     arguments.add_argument("--repetitions", type=int, default=3, help="of the replay (%(default)s)")
     arguments.add_argument("--streaming", type=int, default=20, help="robots that stream while apps ask; 0: none (%(default)s)")
     arguments.add_argument("--streaming-seconds", type=int, default=20, help="how long apps ask (%(default)s)")
+    arguments.add_argument("--growth", type=int, nargs="*", default=[1, 2, 4, 8, 16, 32, 64],
+                           help="numbers of robots whose cost is measured (%(default)s)")
+    arguments.add_argument("--growth-seconds", type=int, default=15, help="of their drive (%(default)s)")
     arguments.add_argument("--cpu", default="unknown processor")
     arguments.add_argument("--compiler", default="unknown compiler")
     given = arguments.parse_args()
-    for name in ("robots", "seconds", "repetitions", "streaming_seconds"):
+    for name in ("robots", "seconds", "repetitions", "streaming_seconds", "growth_seconds"):
         if getattr(given, name) < 1:
             arguments.error(f"--{name.replace('_', '-')} must be 1 or more")
+    if any(robots < 1 for robots in given.growth):
+        arguments.error("--growth takes numbers of robots")
     if given.streaming < 0:
         arguments.error("--streaming must be 0 or more")
     given.bin = given.bin.resolve()

@@ -12,6 +12,7 @@ import unittest
 BENCHMARK = pathlib.Path(__file__).resolve().parent.parent / "benchmark"
 sys.path.insert(0, str(BENCHMARK))
 import check  # noqa: E402
+import plot  # noqa: E402
 import server  # noqa: E402
 import table  # noqa: E402
 
@@ -72,6 +73,32 @@ class Table(InAFolder):
         self.assertNotIn("old", page)
         self.assertIn("Machine: X, 2 cores at 2600 MHz", page)
         self.assertEqual(json.loads((kept / "server.json").read_text())["empty_memory_mb"], 40.0)
+
+
+class Plot(InAFolder):
+    RUN = {"a": document(a__ours=2.0, a__peer=5.0),
+           "g": document(growth_voxels__update__1000=3.0, growth_voxels__update__100=1.0, growth_voxels__query__100=2.0),
+           "server": {**SERVER, "growth_robots": [{"robots": 4, "ms_per_robot_second": {"map": 5.0, "other": 10.0}}]}}
+
+    def test_curves_by_what_grows(self):
+        self.assertEqual(plot.curves(self.RUN), {"robots": {"whole server": [(4, 15.0)]},
+                                                 "voxels": {"update": [(100, 1.0), (1000, 3.0)], "query": [(100, 2.0)]}})
+
+    def test_the_same_figures_give_the_same_picture(self):
+        folder = self.folder_of("run", **self.RUN)
+        pictures = []
+        for name in ("1.svg", "2.svg"):
+            result = subprocess.run([BENCHMARK / "plot.py", folder, self.folder / name], capture_output=True, text=True)
+            self.assertEqual(result.returncode, 0, result.stderr)
+            pictures.append((self.folder / name).read_bytes())
+        self.assertIn(b"<svg", pictures[0])
+        self.assertEqual(pictures[0], pictures[1])
+
+    def test_a_run_without_growth_is_refused(self):
+        folder = self.folder_of("run", a=document(a__ours=1.0))
+        result = subprocess.run([BENCHMARK / "plot.py", folder, self.folder / "x.svg"], capture_output=True, text=True)
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("no growth", result.stderr)
 
 
 # A program that knows how long its methods take in its first, second, ... run.
@@ -177,7 +204,8 @@ class Server(unittest.TestCase):
         self.assertEqual(server.stage_seconds(metrics), {"map": 1.0, "cast": 2.0, "other": 0.5})
 
     def test_wrong_arguments_are_refused(self):
-        for arguments in (["bin"], ["bin", "work", "out", "--robots", "0"], ["bin", "work", "out", "--streaming", "-1"]):
+        for arguments in (["bin"], ["bin", "work", "out", "--robots", "0"], ["bin", "work", "out", "--streaming", "-1"],
+                          ["bin", "work", "out", "--growth", "0"]):
             with self.subTest(arguments), contextlib.redirect_stderr(io.StringIO()):
                 result = subprocess.run([sys.executable, BENCHMARK / "server.py", *arguments], capture_output=True,
                                         text=True, cwd=self.enterContext(tempfile.TemporaryDirectory()))
