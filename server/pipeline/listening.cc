@@ -146,7 +146,7 @@ struct Listening::State {
 
   void Hear(const frames::Odometry& odometry);
   void Hear(const frames::LaserScan&) {}
-  void Hear(const frames::LidarScan& scan);
+  void Hear(frames::LidarScan&& scan);
   void Hear(const frames::AudioBlock& block);
 
   // Whether nothing that may still be heard changes what the scan is given.
@@ -198,8 +198,8 @@ void Listening::Localize(const frames::Frame& frame, Output& output) {
   state_->Lap(Stage::kLocalize);
 }
 
-void Listening::Hear(const frames::Frame& frame, Output& output) {
-  std::visit([&](const auto& sensor_frame) { state_->Hear(sensor_frame); }, frame);
+void Listening::Hear(frames::Frame&& frame, Output& output) {
+  std::visit([&](auto& sensor_frame) { state_->Hear(std::move(sensor_frame)); }, frame);
   ++state_->heard;
   state_->Drain(/*all=*/false, output);
 }
@@ -238,16 +238,17 @@ void Listening::State::Hear(const frames::Odometry& odometry) {
   if (!track.Add(odometry)) ++counters.backward_odometry;
 }
 
-void Listening::State::Hear(const frames::LidarScan& scan) {
+void Listening::State::Hear(frames::LidarScan&& scan) {
   if (!caster) return;
   if (!lidar_scans.empty() && scan.stamp_ns <= lidar_scans.back().stamp_ns) {
     ++counters.backward_lidar;
     return;
   }
-  lidar_scans.push_back(scan);
+  const frames::TimeNs stamp_ns = scan.stamp_ns;
+  lidar_scans.push_back(std::move(scan));
   // The oldest pending scan may still want the one before the newest that is not after it.
   const frames::TimeNs oldest_ns =
-      pending_scans.empty() ? scan.stamp_ns : pending_scans.front().mid_ns();
+      pending_scans.empty() ? stamp_ns : pending_scans.front().mid_ns();
   const frames::TimeNs keep_ns =
       oldest_ns - 2 * frames::NsFromSeconds(profile.ray_casting.max_lidar_age_s);
   while (lidar_scans.size() > kMaxLidarScans ||

@@ -59,7 +59,9 @@ class Listening {
   ~Listening();
 
   void Localize(const frames::Frame& frame, Output& output);
-  void Hear(const frames::Frame& frame, Output& output);
+  // A frame given away is not copied.
+  void Hear(frames::Frame&& frame, Output& output);
+  void Hear(const frames::Frame& frame, Output& output) { Hear(frames::Frame(frame), output); }
   // Whether the next frame to hear must wait until the robot knows where it was.
   bool waits() const;
   // The frames that Hear() was given since the start of the drive.

@@ -106,7 +106,7 @@ absl::Status Session::Recover() {
       auto item = Decode(**message);
       if (!item.ok()) return item.status();
       ended_ = std::holds_alternative<End>(item->content);
-      Apply(*item);
+      Apply(*std::move(item));
       if (next_ % kBatchFrames != 0 && next_ != durable_) continue;
     }
     // Up to where the server was when it stopped, all is stored.
@@ -331,7 +331,7 @@ void Session::Process() {
   } else {
     // What the robot has heard comes into the map in the order of the drive: as soon as it knows
     // where it was, before it drives on.
-    for (; !batch_.empty() && !IsBehind(); batch_.pop_front()) Apply(batch_.front());
+    for (; !batch_.empty() && !IsBehind(); batch_.pop_front()) Apply(std::move(batch_.front()));
   }
   CommitAndGoOn();
 }
@@ -353,10 +353,10 @@ absl::Status Session::CatchUp() {
     const auto message = unheard_->Next();
     if (!message.ok()) return message.status();
     if (!message->has_value()) return absl::DataLossError("the session log ends early");
-    const auto item = Decode(**message);
+    auto item = Decode(**message);
     if (!item.ok()) return item.status();
     Listening::Output output;
-    listening_->Hear(std::get<frames::Frame>(item->content), output);
+    listening_->Hear(std::get<frames::Frame>(std::move(item->content)), output);
     TakeScans(heard_++, std::move(output.scans));
   }
   if (!IsBehind()) unheard_.reset();
@@ -382,7 +382,7 @@ void Session::CommitAndGoOn() {
   boost::asio::post(strand_, [self = shared_from_this()] { self->Process(); });
 }
 
-void Session::Apply(const Item& item) {
+void Session::Apply(Item item) {
   const std::int64_t offset = next_++;
   batch_bytes_ += item.payload_bytes;
   if (batch_first_ns_ == 0) batch_first_ns_ = item.log_time_ns;
@@ -394,10 +394,10 @@ void Session::Apply(const Item& item) {
   }
 
   Listening::Output output;
-  if (const auto* frame = std::get_if<frames::Frame>(&item.content)) {
+  if (auto* frame = std::get_if<frames::Frame>(&item.content)) {
     listening_->Localize(*frame, output);
     if (heard_ == offset && !listening_->waits()) {
-      listening_->Hear(*frame, output);
+      listening_->Hear(std::move(*frame), output);
       heard_ = next_;
     }
   } else {

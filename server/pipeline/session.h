@@ -112,7 +112,7 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // On the strand, or before it runs.
   void Process();
-  void Apply(const Item& item);
+  void Apply(Item item);
   // Whether frames wait to be heard that can be heard now.
   bool IsBehind() const;
   // Reads some of them from the log and hears them.
