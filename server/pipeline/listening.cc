@@ -81,13 +81,24 @@ void serialize(Archive& archive, std::optional<Value>& optional, unsigned) {
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::frames::LaserLag::Turn& turn, unsigned) {
+  archive& turn.begin_ns& turn.end_ns& turn.turn_rad;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::frames::LaserLag::State& lag, unsigned) {
+  archive& lag.last& lag.waiting& lag.squared_error& lag.turns& lag.turned_rad;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::localization::LocalizerState& state, unsigned) {
   archive& state.particles& state.engine& state.odometry& state.raw_odometry& state
       .waiting_scans& state.corrections& state.newest_scan_ns& state.considered_until_ns& state
       .odom_from_particles& state.mean_fit& state.slow_fit& state.misfit_m& state.misfit& state
       .travelled_m& state.jumped& state.counters& state.odometry_limit& state.keep_from_ns& state
       .lost_since_ns& state.searching& state.search_from_ns& state.sectors_searched& state
-      .unrivalled& state.since_sector_m& state.hypotheses& state.kept_scans& state.look_back;
+      .unrivalled& state.since_sector_m& state.hypotheses& state.kept_scans& state.look_back& state
+      .laser_lag_s& state.lag;
 }
 
 template <class Archive>
