@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <mutex>
+#include <optional>
 #include <span>
 #include <utility>
 
@@ -17,13 +19,58 @@ constexpr frames::TimeNs kMaxStamp_ns = std::int64_t{1} << 62;
 
 }  // namespace
 
-AudioScanner::AudioScanner(const AcousticsConfig& config, const FrameLayout& layout,
-                           std::shared_ptr<const SrpPhat> srp)
-    : config_(config),
-      layout_(layout),
-      srp_(std::move(srp)),
-      stft_(layout, srp_->microphones()),
-      clock_(layout.sample_rate_hz) {}
+struct AudioScanner::Tables {
+  AcousticsConfig config;
+  FrameLayout layout;
+  std::vector<Eigen::Vector3d> mic_in_array_m;
+  std::shared_ptr<const SrpPhat> srp;
+  std::optional<PeakFinder> finder;  // with PeakEvidence
+};
+
+absl::StatusOr<std::shared_ptr<const AudioScanner::Tables>> AudioScanner::MakeTables(
+    const AcousticsConfig& config, const frames::Calibration& calibration) {
+  absl::StatusOr<FrameLayout> layout =
+      FrameLayout::Create(config, calibration.audio_sample_rate_hz);
+  if (!layout.ok()) return layout.status();
+  absl::StatusOr<std::shared_ptr<const SrpPhat>> srp = SrpPhat::Create(
+      *layout, config.speed_of_sound_mps, calibration.mic_in_array_m, config.MakeGrid());
+  if (!srp.ok()) return srp.status();
+  auto tables = std::make_shared<Tables>(
+      Tables{config, *layout, calibration.mic_in_array_m, *std::move(srp), std::nullopt});
+  if (const auto* evidence = std::get_if<PeakEvidence>(&config.evidence)) {
+    tables->finder.emplace(*evidence, *layout, config.speed_of_sound_mps,
+                           calibration.mic_in_array_m, tables->srp);
+  }
+  return tables;
+}
+
+absl::StatusOr<std::shared_ptr<const AudioScanner::Tables>> AudioScanner::SharedTables(
+    const AcousticsConfig& config, const frames::Calibration& calibration) {
+  // Held while tables are made, so that robots that start together make theirs once.
+  static std::mutex mutex;
+  static std::vector<std::weak_ptr<const Tables>> in_use;  // guarded by mutex
+  const std::lock_guard lock(mutex);
+  std::erase_if(in_use, [](const auto& tables) { return tables.expired(); });
+  for (const auto& weak : in_use) {
+    const std::shared_ptr<const Tables> tables = weak.lock();
+    if (tables && tables->config == config &&
+        tables->layout.sample_rate_hz == calibration.audio_sample_rate_hz &&
+        tables->mic_in_array_m == calibration.mic_in_array_m) {
+      return tables;
+    }
+  }
+  auto tables = MakeTables(config, calibration);
+  if (tables.ok()) in_use.push_back(*tables);
+  return tables;
+}
+
+AudioScanner::AudioScanner(std::shared_ptr<const Tables> tables)
+    : tables_(std::move(tables)),
+      layout_(tables_->layout),
+      stft_(layout_, tables_->srp->microphones()),
+      clock_(layout_.sample_rate_hz) {}
+
+const geometry::DirectionGrid& AudioScanner::grid() const { return tables_->srp->grid(); }
 
 absl::StatusOr<std::unique_ptr<AudioScanner>> AudioScanner::Create(
     const AcousticsConfig& config, const frames::Calibration& calibration) {
@@ -32,17 +79,13 @@ absl::StatusOr<std::unique_ptr<AudioScanner>> AudioScanner::Create(
   if (calibration.mic_in_array_m.empty()) {
     return absl::InvalidArgumentError("the calibration has no microphones");
   }
-  absl::StatusOr<FrameLayout> layout =
-      FrameLayout::Create(config, calibration.audio_sample_rate_hz);
-  if (!layout.ok()) return layout.status();
-  absl::StatusOr<std::shared_ptr<const SrpPhat>> srp = SrpPhat::Create(
-      *layout, config.speed_of_sound_mps, calibration.mic_in_array_m, config.MakeGrid());
-  if (!srp.ok()) return srp.status();
-  return std::unique_ptr<AudioScanner>(new AudioScanner(config, *layout, *std::move(srp)));
+  absl::StatusOr<std::shared_ptr<const Tables>> tables = SharedTables(config, calibration);
+  if (!tables.ok()) return tables.status();
+  return std::unique_ptr<AudioScanner>(new AudioScanner(*std::move(tables)));
 }
 
 absl::StatusOr<std::vector<LikelihoodScan>> AudioScanner::Push(const frames::AudioBlock& block) {
-  const int channels = srp_->microphones();
+  const int channels = tables_->srp->microphones();
   if (block.channels != channels || block.sample_rate_hz != layout_.sample_rate_hz) {
     return absl::InvalidArgumentError(absl::StrCat(
         "an audio block has ", block.channels, " channels at ", block.sample_rate_hz,
@@ -103,19 +146,19 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   result.fault = FaultIn(samples);
   if (!result.fault.empty()) return result;
 
-  const PhatSpectra spectra = stft_.Analyze(
-      {samples, static_cast<std::size_t>(layout_.scan_samples()) * srp_->microphones()});
+  const PhatSpectra& spectra = stft_.Analyze(
+      {samples, static_cast<std::size_t>(layout_.scan_samples()) * tables_->srp->microphones()});
   Done(Step::kSpectra);
-  const AudioScan scan = srp_->Scan(spectra);
+  tables_->srp->Scan(spectra, scan_);
   Done(Step::kPower);
-  if (const auto* thresholds = std::get_if<DoubleThreshold>(&config_.evidence)) {
+  const AudioScan& scan = scan_;
+  if (const auto* thresholds = std::get_if<DoubleThreshold>(&tables_->config.evidence)) {
     result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
     Done(Step::kEvidence);
     return result;
   }
-  const auto& evidence = std::get<PeakEvidence>(config_.evidence);
-  Peaks found = FindPeaks(*srp_, scan, evidence);
-  result.likelihood = PeakLikelihood(*srp_, found.peaks, evidence);
+  Peaks found = tables_->finder->Find(scan);
+  result.likelihood = tables_->finder->Likelihood(found.peaks);
   result.noise_floor = found.noise_floor;
   result.peaks = std::move(found.peaks);
   Done(Step::kEvidence);
@@ -123,8 +166,25 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
 }
 
 std::string AudioScanner::FaultIn(const std::int16_t* samples) const {
-  const int channels = srp_->microphones();
+  const int channels = tables_->srp->microphones();
   const int count = layout_.scan_samples();
+  // A microphone that stands still for a hop does so from the start of some half hop to its end.
+  const int half = layout_.hop_samples() / 2;
+  const auto changes_in = [&](int first) {
+    int moving = 0;  // those before it have changed
+    for (int s = first + 1; s < first + half; ++s) {
+      const std::int16_t* now = samples + static_cast<std::size_t>(s) * channels;
+      // The first one that waits for a change leads.
+      while (moving < channels && now[moving] != now[moving - channels]) ++moving;
+    }
+    return moving == channels;
+  };
+  bool all_move = half >= 2;
+  for (int first = 0; all_move && first + half <= count; first += half) {
+    all_move = changes_in(first);
+  }
+  if (all_move) return {};
+
   std::vector<int> run(channels, 1);
   std::vector<int> longest(channels, 1);
   for (int s = 1; s < count; ++s) {
@@ -153,7 +213,7 @@ AudioScanner::State AudioScanner::state() const {
 }
 
 absl::Status AudioScanner::Restore(State state) {
-  const int channels = srp_->microphones();
+  const int channels = tables_->srp->microphones();
   const bool clock_runs =
       std::adjacent_find(state.clock.begin(), state.clock.end(), [](const auto& a, const auto& b) {
         return b.sample <= a.sample;

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -12,6 +13,7 @@
 #include "acoustics/audio_clock.h"
 #include "acoustics/config.h"
 #include "acoustics/likelihood_scan.h"
+#include "acoustics/peak_finder.h"
 #include "acoustics/srp_phat.h"
 #include "acoustics/stft.h"
 #include "frames/frames.h"
@@ -20,7 +22,8 @@ namespace soundmap::acoustics {
 
 // Sections III and IV for one robot: audio blocks in, likelihood scans out, one every K W/2
 // samples. The scans are a deterministic function of the blocks; how samples are cut into blocks
-// does not change their likelihoods. One thread at a time.
+// does not change their likelihoods. Scanners with one configuration and array share their tables.
+// One thread at a time.
 class AudioScanner {
  public:
   // What the past leaves behind, all of it.
@@ -56,22 +59,28 @@ class AudioScanner {
   // InvalidArgument, and no change: a state that no scanner with this configuration can have had.
   absl::Status Restore(State state);
 
-  const geometry::DirectionGrid& grid() const { return srp_->grid(); }
+  const geometry::DirectionGrid& grid() const;
   const FrameLayout& layout() const { return layout_; }
 
  private:
-  AudioScanner(const AcousticsConfig& config, const FrameLayout& layout,
-               std::shared_ptr<const SrpPhat> srp);
+  // What depends on the configuration and the array alone: shared by all scanners with the same.
+  struct Tables;
+  static absl::StatusOr<std::shared_ptr<const Tables>> MakeTables(
+      const AcousticsConfig& config, const frames::Calibration& calibration);
+  static absl::StatusOr<std::shared_ptr<const Tables>> SharedTables(
+      const AcousticsConfig& config, const frames::Calibration& calibration);
+
+  explicit AudioScanner(std::shared_ptr<const Tables> tables);
   LikelihoodScan Scan(const std::int16_t* samples, std::int64_t first_sample);
   std::string FaultIn(const std::int16_t* samples) const;
   void Done(Step step) const {
     if (step_done_) step_done_(step);
   }
 
-  AcousticsConfig config_;
+  std::shared_ptr<const Tables> tables_;
   FrameLayout layout_;
-  std::shared_ptr<const SrpPhat> srp_;
   Stft stft_;
+  AudioScan scan_;  // keeps its memory from scan to scan
   AudioClock clock_;
   frames::TimeNs last_stamp_ns_ = 0;
   std::int64_t next_sample_ = 0;

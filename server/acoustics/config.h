@@ -13,6 +13,8 @@ namespace soundmap::acoustics {
 // Candidate directions spread evenly over the whole sphere.
 struct EqualAreaGrid {
   double spacing_rad = geometry::RadFromDeg(2.0);
+
+  bool operator==(const EqualAreaGrid&) const = default;
 };
 
 // Candidate directions by azimuth and elevation, limits included. The defaults are section VI's.
@@ -22,6 +24,8 @@ struct SectorGrid {
   double elevation_min_rad = geometry::RadFromDeg(0.0);
   double elevation_max_rad = geometry::RadFromDeg(75.0);
   double step_rad = geometry::RadFromDeg(1.0);
+
+  bool operator==(const SectorGrid&) const = default;
 };
 
 // Eq. (6) with the values of section VI. T1 and T2 are absolute powers, so they depend on the
@@ -32,6 +36,8 @@ struct DoubleThreshold {
   double p_min = 0.1;
   double p_med = 0.5;
   double p_max = 0.999;  // section IV has 0.9
+
+  bool operator==(const DoubleThreshold&) const = default;
 };
 
 // Deviation from eq. (6): only peaks of the power speak for a source. The noise floor is the median
@@ -50,6 +56,8 @@ struct PeakEvidence {
   double p_peak = 0.9;       // within peak_radius_rad of a peak
   double p_undecided = 0.5;  // within undecided_radius_rad
   double p_rest = 0.4;
+
+  bool operator==(const PeakEvidence&) const = default;
 };
 
 // Sections III and IV. A default-constructed one is the profile `default`.
@@ -69,6 +77,8 @@ struct AcousticsConfig {
 
   absl::Status Validate() const;
   geometry::DirectionGrid MakeGrid() const;  // of a valid configuration
+
+  bool operator==(const AcousticsConfig&) const = default;
 };
 
 // Section III's time and frequency axes at one sample rate.

@@ -1,107 +1,12 @@
 #include "acoustics/srp_phat.h"
 
-#include <Eigen/Dense>
 #include <algorithm>
-#include <array>
-#include <cmath>
-#include <complex>
-#include <cstring>
+#include <numeric>
 
 #include "absl/strings/str_cat.h"
-#include "geometry/angles.h"
+#include "acoustics/flush_denormals.h"
 
 namespace soundmap::acoustics {
-namespace {
-
-using geometry::kPi;
-
-constexpr int kTaps = 8;  // correlation samples that determine one cubic
-constexpr int kTapsBefore = kTaps / 2 - 1;
-constexpr int kTileDirections = 512;
-constexpr double kFinePerLag = 65536.0;
-constexpr int kMaxIntervals = 32000;  // positions fit in 31 bits
-constexpr int kResponseShift = 11;    // 2^(16 - 11) = 32 response samples a lag
-// Worst interpolation error of a unit phasor; S is off by at most B times this.
-constexpr double kMaxPhasorError = 4e-6;
-
-// Steps of the correlation to choose from, in radians of the band's upper end: the first that is
-// exact enough.
-constexpr std::array kLagRadians = {0.6, 0.5, 0.4, 0.35, 0.3, 0.27, 0.24, 0.21, 0.18, 0.15};
-
-typedef float Float4 __attribute__((vector_size(16)));
-typedef std::int32_t Int4 __attribute__((vector_size(16)));
-
-Float4 Load(const float* p) {
-  Float4 value;
-  std::memcpy(&value, __builtin_assume_aligned(p, 16), sizeof(value));
-  return value;
-}
-Float4 LoadUnaligned(const float* p) {
-  Float4 value;
-  std::memcpy(&value, p, sizeof(value));
-  return value;
-}
-void Store(float* p, Float4 value) { std::memcpy(p, &value, sizeof(value)); }
-
-// Rows to columns.
-void Transpose(Float4& a, Float4& b, Float4& c, Float4& d) {
-  const Float4 ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5);
-  const Float4 ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
-  const Float4 cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5);
-  const Float4 cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
-  a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
-  b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
-  c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
-  d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
-}
-
-// The cubic in t = 0 .. 1 between taps kTapsBefore and kTapsBefore + 1 that follows every e^{j
-// omega t} of the band best: least squares over t gives the cubic of each omega, least squares over
-// omega the taps of each coefficient. Row m belongs to t^m.
-Eigen::MatrixXd CubicFromTaps(const std::vector<double>& radians_per_lag) {
-  constexpr int kNodes = 16;
-  Eigen::MatrixXd powers(kNodes, 4);
-  Eigen::VectorXd node(kNodes);
-  for (int i = 0; i < kNodes; ++i) {
-    node[i] = 0.5 - 0.5 * std::cos(kPi * (i + 0.5) / kNodes);
-    for (int m = 0; m < 4; ++m) powers(i, m) = std::pow(node[i], m);
-  }
-  const Eigen::MatrixXd fit = powers.completeOrthogonalDecomposition().pseudoInverse();
-  const int frequencies = static_cast<int>(radians_per_lag.size());
-  // The regularization keeps the taps small where the band is narrow and many combinations serve.
-  constexpr double kRegularization = 1e-8;
-  Eigen::MatrixXd taps = Eigen::MatrixXd::Zero(2 * frequencies + kTaps, kTaps);
-  Eigen::MatrixXd wanted = Eigen::MatrixXd::Zero(2 * frequencies + kTaps, 4);
-  for (int f = 0; f < frequencies; ++f) {
-    const double omega = radians_per_lag[f];
-    for (int k = 0; k < kTaps; ++k) {
-      taps(2 * f, k) = std::cos(omega * (k - kTapsBefore));
-      taps(2 * f + 1, k) = std::sin(omega * (k - kTapsBefore));
-    }
-    wanted.row(2 * f) = (fit * (omega * node).array().cos().matrix()).transpose();
-    wanted.row(2 * f + 1) = (fit * (omega * node).array().sin().matrix()).transpose();
-  }
-  for (int k = 0; k < kTaps; ++k) taps(2 * frequencies + k, k) = kRegularization;
-  return taps.householderQr().solve(wanted).transpose();
-}
-
-double MaxPhasorError(const Eigen::MatrixXd& cubic, const std::vector<double>& radians_per_lag) {
-  double worst = 0.0;
-  for (const double omega : radians_per_lag) {
-    for (int i = 0; i <= 32; ++i) {
-      const double t = i / 32.0;
-      std::complex<double> value = 0.0;
-      for (int k = 0; k < kTaps; ++k) {
-        const double weight = cubic(0, k) + t * (cubic(1, k) + t * (cubic(2, k) + t * cubic(3, k)));
-        value += weight * std::polar(1.0, omega * (k - kTapsBefore));
-      }
-      worst = std::max(worst, std::abs(value - std::polar(1.0, omega * t)));
-    }
-  }
-  return worst;
-}
-
-}  // namespace
 
 absl::StatusOr<std::shared_ptr<const SrpPhat>> SrpPhat::Create(
     const FrameLayout& layout, double speed_of_sound_mps,
@@ -125,335 +30,100 @@ absl::StatusOr<std::shared_ptr<const SrpPhat>> SrpPhat::Create(
   return std::shared_ptr<const SrpPhat>(std::move(srp));
 }
 
-absl::Status SrpPhat::Build(double speed_of_sound_mps,
-                            const std::vector<Eigen::Vector3d>& mic_in_array_m) {
+absl::StatusOr<std::vector<Eigen::Vector3d>> SrpPhat::GroupPairs(
+    double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m) {
   constexpr double kSamePlace_m = 1e-6;
-  std::vector<std::vector<Pair>> members;
-  double max_delay_s = 0.0;
+  constexpr double kSameDifference_m = 1e-6;
+  std::vector<Eigen::Vector3d> difference_m;  // of the groups
   for (int a = 0; a < microphones_; ++a) {
+    target_.push_back({-1, 1.0f});
     for (int b = a + 1; b < microphones_; ++b) {
-      const Eigen::Vector3d difference_m = mic_in_array_m[a] - mic_in_array_m[b];
-      if (difference_m.norm() < kSamePlace_m) {
+      const Eigen::Vector3d of_pair_m = mic_in_array_m[a] - mic_in_array_m[b];
+      if (of_pair_m.norm() < kSamePlace_m) {
         return absl::InvalidArgumentError(
             absl::StrCat("mic_", a, " and mic_", b, " are at the same place"));
       }
-      const Eigen::Vector3d delay_s = difference_m / speed_of_sound_mps;
-      max_delay_s = std::max(max_delay_s, delay_s.norm());
-      constexpr double kSameDifference_m = 1e-6;
-      const double same_s = kSameDifference_m / speed_of_sound_mps;
-      std::size_t group = 0;
-      Pair pair{a, b};
-      for (; group < groups_.size(); ++group) {
-        if ((groups_[group].delay_s - delay_s).norm() < same_s) break;
-        if ((groups_[group].delay_s + delay_s).norm() < same_s) {
-          pair = {b, a};
+      PairTarget target{0, 1.0f};
+      for (const Eigen::Vector3d& of_group_m : difference_m) {
+        if ((of_group_m - of_pair_m).norm() < kSameDifference_m) break;
+        if ((of_group_m + of_pair_m).norm() < kSameDifference_m) {
+          target.sign = -1.0f;
           break;
         }
+        ++target.group;
       }
-      if (group == groups_.size()) {
-        groups_.push_back({delay_s});
-        members.emplace_back();
-      }
-      members[group].push_back(pair);
+      if (target.group == static_cast<int>(difference_m.size())) difference_m.push_back(of_pair_m);
+      target_.push_back(target);
     }
   }
-  for (std::size_t group = 0; group < groups_.size(); ++group) {
-    groups_[group].first = static_cast<int>(pairs_.size());
-    groups_[group].count = static_cast<int>(members[group].size());
-    pairs_.insert(pairs_.end(), members[group].begin(), members[group].end());
+  groups_ = static_cast<int>(difference_m.size());
+  std::vector<int> order(groups_);
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](int a, int b) { return difference_m[a].norm() > difference_m[b].norm(); });
+  std::vector<int> place(groups_);
+  std::vector<Eigen::Vector3d> delay_s;
+  for (const int group : order) {
+    place[group] = static_cast<int>(delay_s.size());
+    delay_s.emplace_back(difference_m[group] / speed_of_sound_mps);
   }
-
-  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-  for (const PairGroup& group : groups_) scatter += group.delay_s * group.delay_s.transpose();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(scatter);  // smallest first
-  constexpr double kFlat = 1e-6;  // relative variance: a thickness of a thousandth of the width
-  const Eigen::Vector3d variance = axes.eigenvalues() / axes.eigenvalues()[2];
-  array_rank_ = variance[1] < kFlat ? 1 : variance[0] < kFlat ? 2 : 3;
-  array_axis_ = axes.eigenvectors().col(array_rank_ == 1 ? 2 : 0);
-  // A plane's normal points up, or forwards, or left.
-  const double orientation = std::abs(array_axis_.z()) > 1e-3   ? array_axis_.z()
-                             : std::abs(array_axis_.x()) > 1e-3 ? array_axis_.x()
-                                                                : array_axis_.y();
-  if (orientation < 0.0) array_axis_ = -array_axis_;
-
-  const double smallest_lag_s =
-      kLagRadians.back() / (2.0 * kPi * std::max(layout_.bin_hz(layout_.bins - 1), 1.0));
-  if (2.0 * (max_delay_s / smallest_lag_s + 2.0) > kMaxIntervals) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("the array is too large for the band: ", max_delay_s * speed_of_sound_mps,
-                     " m at ", layout_.bin_hz(layout_.bins - 1), " Hz"));
+  for (PairTarget& target : target_) {
+    target.group = target.group < 0 ? groups_ : place[target.group];
   }
-  BuildInterpolator(max_delay_s);
-  BuildCells();
-  BuildResponse();
+  return delay_s;
+}
+
+absl::Status SrpPhat::Build(double speed_of_sound_mps,
+                            const std::vector<Eigen::Vector3d>& mic_in_array_m) {
+  const auto delay_s = GroupPairs(speed_of_sound_mps, mic_in_array_m);
+  if (!delay_s.ok()) return delay_s.status();
+  harmonic_ = HarmonicSrp::Create(layout_, *delay_s, grid_);
+  if (!harmonic_) {
+    auto look_up = LookUpSrp::Create(layout_, *delay_s, grid_);
+    if (!look_up.ok()) return look_up.status();
+    look_up_ = *std::move(look_up);
+  }
   return absl::OkStatus();
 }
 
-void SrpPhat::BuildInterpolator(double max_delay_s) {
-  const double max_hz = std::max(layout_.bin_hz(layout_.bins - 1), 1.0);
-  std::vector<double> radians_per_lag(layout_.bins);
-  for (const double radians : kLagRadians) {
-    lag_step_s_ = radians / (2.0 * kPi * max_hz);
-    for (int b = 0; b < layout_.bins; ++b) {
-      radians_per_lag[b] = 2.0 * kPi * layout_.bin_hz(b) * lag_step_s_;
-    }
-    const Eigen::MatrixXd cubic = CubicFromTaps(radians_per_lag);
-    cubic_ = cubic.cast<float>();
-    if (MaxPhasorError(cubic, radians_per_lag) <= kMaxPhasorError) break;
-  }
-  const int reach = static_cast<int>(std::ceil(max_delay_s / lag_step_s_)) + 1;
-  centre_ = reach;
-  intervals_ = 2 * reach;
-  max_lag_ = reach + kTaps / 2;
-  even_basis_.resize(max_lag_ + 1, layout_.bins);
-  odd_basis_.resize(max_lag_ + 1, layout_.bins);
-  for (int b = 0; b < layout_.bins; ++b) {
-    for (int lag = 0; lag <= max_lag_; ++lag) {
-      even_basis_(lag, b) = static_cast<float>(std::cos(lag * radians_per_lag[b]));
-      odd_basis_(lag, b) = static_cast<float>(std::sin(lag * radians_per_lag[b]));
-    }
-  }
-}
+void SrpPhat::Scan(const PhatSpectra& spectra, AudioScan& scan) const {
+  const FlushDenormals flush;
+  // Cross-spectra, eq. (4), and past the last group the power of each microphone.
+  const std::size_t cross_floats = static_cast<std::size_t>(groups_ + 1) * spectra.width;
+  scan.workspace.resize(2 * cross_floats + (harmonic_ ? harmonic_->workspace_floats() : 0));
+  CrossSpectra sum;
+  sum.real = spectra.real.data();
+  sum.imaginary = spectra.imaginary.data();
+  sum.frames = spectra.frames;
+  sum.microphones = microphones_;
+  sum.width = spectra.width;
+  sum.target = target_.data();
+  sum.groups = groups_ + 1;
+  sum.group_real = scan.workspace.data();
+  sum.group_imaginary = scan.workspace.data() + cross_floats;
+  BestKernels().cross_spectra(sum);
 
-int SrpPhat::Tiles() const { return (grid_.size() + kTileDirections - 1) / kTileDirections; }
-
-std::int64_t SrpPhat::FinePosition(const PairGroup& group, const Eigen::Vector3d& direction) const {
-  return std::llround((group.delay_s.dot(direction) / lag_step_s_ + centre_) * kFinePerLag);
-}
-
-void SrpPhat::BuildCells() {
-  constexpr int kCellsPerTile = kTileDirections / 4;
-  constexpr int kSampleDirections = 2000;
-  while (2 * sample_stride_ <= kCellsPerTile &&
-         grid_.size() / (2 * sample_stride_) >= kSampleDirections) {
-    sample_stride_ *= 2;
-  }
-  cells_.resize(static_cast<std::size_t>(Tiles()) * groups_.size() * kCellsPerTile);
-  Cell* cell = cells_.data();
-  for (int tile = 0; tile < Tiles(); ++tile) {
-    for (const PairGroup& group : groups_) {
-      for (int c = 0; c < kCellsPerTile; ++c, ++cell) {
-        for (int lane = 0; lane < 4; ++lane) {
-          // The last tile repeats the last direction.
-          const int i = std::min(tile * kTileDirections + 4 * c + lane, grid_.size() - 1);
-          const std::int64_t position = FinePosition(group, grid_[i]);
-          cell->interval_x2[lane] = static_cast<std::uint16_t>(2 * (position >> 16));
-          cell->fraction[lane] = static_cast<std::uint16_t>(position & 0xffff);
-        }
-      }
-    }
-  }
-}
-
-void SrpPhat::BuildResponse() {
-  // Delays of two directions differ by at most twice the largest delay.
-  const int samples_per_lag = static_cast<int>(kFinePerLag) >> kResponseShift;
-  response_centre_ = 2 * (centre_ + 1) * samples_per_lag;
-  response_.resize(2 * response_centre_ + 1);
-  const double bin_spacing_hz =
-      layout_.sample_rate_hz / static_cast<double>(layout_.window_samples);
-  const double mid_hz = 0.5 * (layout_.bin_hz(0) + layout_.bin_hz(layout_.bins - 1));
-  for (int i = 0; i <= 2 * response_centre_; ++i) {
-    const double delay_s = (i - response_centre_) * lag_step_s_ / samples_per_lag;
-    // The sum of cos(2 pi f tau) over equally spaced f. Near a zero of the denominator all terms
-    // agree.
-    const double half_phase = kPi * bin_spacing_hz * delay_s;
-    const double turn = std::remainder(half_phase, kPi);
-    const double dirichlet =
-        std::abs(turn) < 1e-9
-            ? layout_.bins * (std::cos(half_phase) < 0.0 && layout_.bins % 2 == 0 ? -1.0 : 1.0)
-            : std::sin(layout_.bins * half_phase) / std::sin(half_phase);
-    response_[i] = static_cast<float>(std::cos(2.0 * kPi * mid_hz * delay_s) * dirichlet);
-  }
-}
-
-std::vector<float> SrpPhat::Correlate(const PhatSpectra& spectra, float* auto_power) const {
-  const int bins = layout_.bins;
-  const int group_count = static_cast<int>(groups_.size());
-  const float per_frame = 1.0f / spectra.frames;
-
-  double auto_sum = 0.0;
-  for (std::size_t i = 0; i < spectra.real.size(); ++i) {
-    auto_sum += spectra.real[i] * spectra.real[i] + spectra.imaginary[i] * spectra.imaginary[i];
-  }
-  *auto_power = static_cast<float>(auto_sum / spectra.frames / microphones_ / microphones_);
-
-  // Cross-spectra C_ab(f) = mean over t of V_a conj(V_b), eq. (4).
-  Eigen::MatrixXf cross_real = Eigen::MatrixXf::Zero(bins, group_count);
-  Eigen::MatrixXf cross_imaginary = Eigen::MatrixXf::Zero(bins, group_count);
-  for (int g = 0; g < group_count; ++g) {
-    float* __restrict real = cross_real.col(g).data();
-    float* __restrict imaginary = cross_imaginary.col(g).data();
-    for (int p = groups_[g].first; p < groups_[g].first + groups_[g].count; ++p) {
-      for (int t = 0; t < spectra.frames; ++t) {
-        const float* __restrict a_real = &spectra.real[spectra.index(t, pairs_[p].a)];
-        const float* __restrict a_imaginary = &spectra.imaginary[spectra.index(t, pairs_[p].a)];
-        const float* __restrict b_real = &spectra.real[spectra.index(t, pairs_[p].b)];
-        const float* __restrict b_imaginary = &spectra.imaginary[spectra.index(t, pairs_[p].b)];
-        for (int f = 0; f < bins; ++f) {
-          real[f] += a_real[f] * b_real[f] + a_imaginary[f] * b_imaginary[f];
-          imaginary[f] += a_imaginary[f] * b_real[f] - a_real[f] * b_imaginary[f];
-        }
-      }
-    }
-  }
-  cross_real *= per_frame;
-  cross_imaginary *= per_frame;
-
-  // g(tau) = sum over f of Re(C e^{-j 2 pi f tau}), eq. (5), its even and its odd part.
-  const Eigen::MatrixXf even = even_basis_ * cross_real;
-  const Eigen::MatrixXf odd = odd_basis_ * cross_imaginary;
-
-  std::vector<float> correlation(static_cast<std::size_t>(group_count) * intervals_ * 4);
-  std::vector<float> lags(2 * max_lag_ + 1);
-  Float4 tap[kTaps];
-  for (int k = 0; k < kTaps; ++k) {
-    float scale = 1.0f;  // the tables give t in units of 2^-16
-    for (int m = 0; m < 4; ++m, scale /= static_cast<float>(kFinePerLag)) {
-      tap[k][m] = cubic_(m, k) * scale;
-    }
-  }
-  for (int g = 0; g < group_count; ++g) {
-    for (int lag = 0; lag <= max_lag_; ++lag) {
-      lags[max_lag_ - lag] = even(lag, g) - odd(lag, g);
-      lags[max_lag_ + lag] = even(lag, g) + odd(lag, g);
-    }
-    // Interval j begins at lag j - centre_; its first tap lies kTapsBefore earlier.
-    const float* first_tap = &lags[max_lag_ - centre_ - kTapsBefore];
-    float* cubic = &correlation[static_cast<std::size_t>(g) * intervals_ * 4];
-    for (int j = 0; j < intervals_; ++j) {
-      Float4 sum = tap[0] * first_tap[j];
-      for (int k = 1; k < kTaps; ++k) sum += tap[k] * first_tap[j + k];
-      Store(cubic + 4 * j, sum);
-    }
-  }
-  return correlation;
-}
-
-AudioScan SrpPhat::Scan(const PhatSpectra& spectra) const {
-  AudioScan scan;
-  scan.correlation = Correlate(spectra, &scan.auto_power);
+  // A pair counts twice: as (a, b) and as (b, a).
+  const float scale = 2.0f / (static_cast<float>(microphones_) * microphones_ * spectra.frames);
+  const float* own_power = sum.group_real + static_cast<std::size_t>(groups_) * spectra.width;
+  scan.auto_power = 0.0f;
+  for (int b = 0; b < layout_.bins; ++b) scan.auto_power += 0.5f * scale * own_power[b];
   scan.power.resize(grid_.size());
-  const float scale = 2.0f / (static_cast<float>(microphones_) * microphones_);
-  alignas(16) float sums[kTileDirections];
-  const Cell* cell = cells_.data();
-  for (int tile = 0; tile < Tiles(); ++tile) {
-    std::fill(std::begin(sums), std::end(sums), 0.0f);
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const float* cubic = &scan.correlation[g * intervals_ * 4];
-      for (int d = 0; d < kTileDirections; d += 4, ++cell) {
-        Float4 c0 = LoadUnaligned(cubic + 2 * cell->interval_x2[0]);
-        Float4 c1 = LoadUnaligned(cubic + 2 * cell->interval_x2[1]);
-        Float4 c2 = LoadUnaligned(cubic + 2 * cell->interval_x2[2]);
-        Float4 c3 = LoadUnaligned(cubic + 2 * cell->interval_x2[3]);
-        Transpose(c0, c1, c2, c3);
-        const Int4 fraction{cell->fraction[0], cell->fraction[1], cell->fraction[2],
-                            cell->fraction[3]};
-        const Float4 t = __builtin_convertvector(fraction, Float4);
-        Store(sums + d, Load(sums + d) + (c0 + t * (c1 + t * (c2 + t * c3))));
-      }
-    }
-    const int first = tile * kTileDirections;
-    const int count = std::min(kTileDirections, grid_.size() - first);
-    for (int d = 0; d < count; ++d) scan.power[first + d] = scan.auto_power + scale * sums[d];
+  if (harmonic_) {
+    float* workspace = scan.workspace.data() + 2 * cross_floats;
+    harmonic_->Expand(sum.group_real, sum.group_imaginary, spectra.width, scale, scan.auto_power,
+                      workspace, scan.harmonics);
+    harmonic_->Synthesize(scan.harmonics, workspace, scan.power);
+  } else {
+    scan.correlation =
+        look_up_->Correlate(sum.group_real, sum.group_imaginary, spectra.width, scale);
+    look_up_->Read(scan.correlation, scan.auto_power, scan.power);
   }
-  return scan;
 }
 
 double SrpPhat::PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const {
-  double sum = 0.0;
-  for (std::size_t g = 0; g < groups_.size(); ++g) {
-    const double position = groups_[g].delay_s.dot(direction) / lag_step_s_ + centre_;
-    const double interval = std::floor(position);
-    const double t = (position - interval) * kFinePerLag;
-    const float* c = &scan.correlation[(g * intervals_ + static_cast<int>(interval)) * 4];
-    sum += c[0] + t * (c[1] + t * (c[2] + t * c[3]));
-  }
-  return scan.auto_power + 2.0 * sum / (microphones_ * microphones_);
-}
-
-double SrpPhat::ResponseAt(const Eigen::Vector3d& source, const Eigen::Vector3d& direction) const {
-  const Eigen::Vector3d difference = direction - source;
-  const double per_s = (1 << (16 - kResponseShift)) / lag_step_s_;
-  double sum = 0.0;
-  for (const PairGroup& group : groups_) {
-    const double position = group.delay_s.dot(difference) * per_s + response_centre_;
-    const int index = static_cast<int>(position);
-    const double t = position - index;
-    sum += group.count * ((1.0 - t) * response_[index] + t * response_[index + 1]);
-  }
-  const double n = microphones_;
-  return layout_.bins / n + 2.0 * sum / (n * n);
-}
-
-void SrpPhat::AddResponse(const Eigen::Vector3d& source, float gain, float offset,
-                          std::span<float> power) const {
-  AddResponse(source, gain, offset, /*stride=*/1, power);
-}
-
-void SrpPhat::AddResponseToSample(const Eigen::Vector3d& source, float gain, float offset,
-                                  std::span<float> power) const {
-  AddResponse(source, gain, offset, sample_stride_, power);
-}
-
-void SrpPhat::AddResponse(const Eigen::Vector3d& source, float gain, float offset, int stride,
-                          std::span<float> power) const {
-  const float scale = 2.0f / (static_cast<float>(microphones_) * microphones_);
-  const float base = static_cast<float>(layout_.bins) / microphones_ - offset;
-  // Half a sample is added so that the shift rounds to the nearest.
-  constexpr std::int32_t kHalf = 1 << (kResponseShift - 1);
-  std::vector<std::int32_t> source_position(groups_.size());
-  for (std::size_t g = 0; g < groups_.size(); ++g) {
-    source_position[g] = static_cast<std::int32_t>(FinePosition(groups_[g], source)) - kHalf;
-  }
-  const float* response = response_.data() + response_centre_;
-  alignas(16) float sums[kTileDirections];
-  const Cell* cell = cells_.data();
-  for (int tile = 0; tile < Tiles(); ++tile) {
-    std::fill(std::begin(sums), std::end(sums), 0.0f);
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const float count = static_cast<float>(groups_[g].count);
-      const std::int32_t origin = source_position[g];
-      for (int d = 0; d < kTileDirections; d += 4 * stride, cell += stride) {
-        const Int4 coarse{cell->interval_x2[0], cell->interval_x2[1], cell->interval_x2[2],
-                          cell->interval_x2[3]};
-        const Int4 fine{cell->fraction[0], cell->fraction[1], cell->fraction[2], cell->fraction[3]};
-        const Int4 index = ((coarse << 15) + fine - origin) >> kResponseShift;
-        const Float4 value{response[index[0]], response[index[1]], response[index[2]],
-                           response[index[3]]};
-        Store(sums + d, Load(sums + d) + count * value);
-      }
-    }
-    const int first = tile * kTileDirections;
-    const int count = std::min(kTileDirections, static_cast<int>(power.size()) - first);
-    for (int d = 0; d < count; d += 4 * stride) {
-      for (int lane = d; lane < std::min(d + 4, count); ++lane) {
-        power[first + lane] += gain * (base + scale * sums[lane]);
-      }
-    }
-  }
-}
-
-double SrpPhat::IncoherentSpread() const {
-  // |Y|^2 of N independent unit phasors over N has the variance (1 - 1/N) / N^2. Neighbours in the
-  // sums of eqs. (4) and (5) are correlated:
-  // |.|^2 of periodic Hann windows by (2/3)^2 one bin apart, (1/6)^2 two bins apart, (1/6)^2 half a
-  // window apart.
-  constexpr double kBins = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
-  constexpr double kFrames = 1.0 + 2.0 / 36.0;
-  const double n = microphones_;
-  return std::sqrt(kBins * kFrames * layout_.bins / layout_.frames_per_scan * (1.0 - 1.0 / n)) / n;
-}
-
-Eigen::Vector3d SrpPhat::Distinguishable(const Eigen::Vector3d& direction) const {
-  if (array_rank_ == 3) return direction;
-  const double along = array_axis_.dot(direction);
-  if (array_rank_ == 2) {
-    return along < 0.0 ? Eigen::Vector3d(direction - 2.0 * along * array_axis_) : direction;
-  }
-  // A point on a half circle from one end of the axis to the other.
-  const double across = std::sqrt(std::max(0.0, 1.0 - along * along));
-  return along * array_axis_ + across * array_axis_.unitOrthogonal();
+  if (harmonic_) return harmonic_->ValueAt(scan.harmonics, direction);
+  return scan.auto_power + look_up_->SumAt(scan.correlation, direction);
 }
 
 }  // namespace soundmap::acoustics

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "acoustics/config.h"
+#include "acoustics/kernels.h"
 
 namespace soundmap::acoustics {
 
@@ -16,16 +17,18 @@ struct PhatSpectra {
       : frames(frames),
         microphones(microphones),
         bins(bins),
-        real(static_cast<std::size_t>(frames) * microphones * bins),
+        width(PaddedToRow(bins)),
+        real(static_cast<std::size_t>(frames) * microphones * width),
         imaginary(real.size()) {}
 
   std::size_t index(int frame, int microphone, int bin = 0) const {
-    return (static_cast<std::size_t>(frame) * microphones + microphone) * bins + bin;
+    return (static_cast<std::size_t>(frame) * microphones + microphone) * width + bin;
   }
 
   int frames;
   int microphones;
   int bins;
+  int width;  // of a row of bins; the last ones are 0
   std::vector<float> real;
   std::vector<float> imaginary;
 };
@@ -42,12 +45,14 @@ class Stft {
   // `samples`: interleaved, layout.scan_samples() of every microphone.
   // Deviation from eq. (1): a bin of magnitude 0, or so small beside its frame that float
   // arithmetic leaves only rounding there, gives 0.
-  PhatSpectra Analyze(std::span<const std::int16_t> samples);
+  // The result holds until the next call.
+  const PhatSpectra& Analyze(std::span<const std::int16_t> samples);
 
  private:
   struct Transform;
   FrameLayout layout_;
   int microphones_;
+  PhatSpectra spectra_;
   std::unique_ptr<Transform> transform_;
 };
 

@@ -1,5 +1,6 @@
 #include "geometry/directions.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "geometry/angles.h"
@@ -41,15 +42,29 @@ DirectionGrid DirectionGrid::Sector(double azimuth_min_rad, double azimuth_max_r
 }
 
 DirectionGrid DirectionGrid::EqualArea(double spacing_rad) {
-  const int count = static_cast<int>(std::lround(4.0 * kPi / (spacing_rad * spacing_rad)));
-  const double golden_angle_rad = kPi * (3.0 - std::sqrt(5.0));
+  constexpr int kSymmetry = 4;  // both mirror planes through the poles
+  const int rings = std::max(1, static_cast<int>(std::lround(kPi / 2.0 / spacing_rad)));
+  // Directions from the north pole to the lower edge of a ring's band, whose area is theirs.
+  std::vector<int> up_to(rings + 1, 0);
+  for (int r = 1; r <= rings; ++r) {
+    const double area = 2.0 * kPi * (1.0 - std::cos(kPi / 2.0 * r / rings));
+    up_to[r] =
+        kSymmetry * static_cast<int>(std::lround(area / (spacing_rad * spacing_rad * kSymmetry)));
+    up_to[r] = std::max(up_to[r], up_to[r - 1] + kSymmetry);
+  }
+  const auto edge_rad = [&](int r) {
+    return std::asin(1.0 - static_cast<double>(up_to[r]) / up_to[rings]);
+  };
   std::vector<Eigen::Vector3d> directions;
-  directions.reserve(count);
-  for (int i = 0; i < count; ++i) {
-    const double z = 1.0 - (2.0 * i + 1.0) / count;
-    const double radius = std::sqrt(1.0 - z * z);
-    const double azimuth_rad = std::fmod(i * golden_angle_rad, 2.0 * kPi);
-    directions.emplace_back(radius * std::cos(azimuth_rad), radius * std::sin(azimuth_rad), z);
+  directions.reserve(2 * up_to[rings]);
+  for (int r = 0; r < 2 * rings; ++r) {
+    const int north = std::min(r, 2 * rings - 1 - r);  // the same ring or its mirror image
+    const double elevation_rad = 0.5 * (edge_rad(north) + edge_rad(north + 1));
+    const int count = up_to[north + 1] - up_to[north];
+    for (int i = 0; i < count; ++i) {
+      directions.push_back(DirectionFromAngles(2.0 * kPi * (i + 0.5) / count,
+                                               r == north ? elevation_rad : -elevation_rad));
+    }
   }
   return DirectionGrid(std::move(directions), spacing_rad);
 }

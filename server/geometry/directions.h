@@ -23,8 +23,9 @@ class DirectionGrid {
   static DirectionGrid Sector(double azimuth_min_rad, double azimuth_max_rad,
                               double elevation_min_rad, double elevation_max_rad, double step_rad);
 
-  // Equal-area directions on the whole sphere (Fibonacci lattice), one per `spacing_rad` squared:
-  // 10 313 at 2 degrees.
+  // Equal-area directions on the whole sphere, one per `spacing_rad` squared: 10 312 at 2 degrees.
+  // They lie on rings about z, north to south. The grid is its own mirror image in the planes x-y,
+  // x-z and y-z.
   static DirectionGrid EqualArea(double spacing_rad);
 
   explicit DirectionGrid(std::vector<Eigen::Vector3d> directions, double spacing_rad)

@@ -314,5 +314,20 @@ TEST(AudioScanner, AStateThatCannotBeIsRefused) {
   EXPECT_TRUE(refused([](AudioScanner::State& s) { s.next_sample = 0; }));
 }
 
+TEST(AudioScanner, ScannersOfOneArrayShareTheirTables) {
+  const auto a = MakeScanner();
+  const auto b = MakeScanner();
+  EXPECT_EQ(&a->grid(), &b->grid());
+  AcousticsConfig other = Coarse();
+  other.speed_of_sound_mps += 1.0;
+  EXPECT_NE(&MakeScanner(other)->grid(), &a->grid());
+  Microphones moved = FourMicrophones();
+  moved[2].x() += 1e-9;
+  const auto c = AudioScanner::Create(Coarse(), CalibrationOf(moved, kRate_hz)).value();
+  EXPECT_NE(&c->grid(), &a->grid());
+  const auto d = AudioScanner::Create(Coarse(), CalibrationOf(FourMicrophones(), 48000)).value();
+  EXPECT_NE(&d->grid(), &a->grid());
+}
+
 }  // namespace
 }  // namespace soundmap::acoustics

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "acoustics/peak_finder.h"
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
 
@@ -25,19 +26,22 @@ class Listener {
       : microphones_(microphones),
         layout_(FrameLayout::Create({}, sample_rate_hz).value()),
         srp_(SrpPhat::Create(layout_, kSpeedOfSound_mps, microphones, grid).value()),
+        finder_(PeakEvidence{}, layout_, kSpeedOfSound_mps, microphones, srp_),
         stft_(layout_, static_cast<int>(microphones.size())) {}
 
   Peaks Hear(const std::vector<PlaneWave>& waves, double noise_rms, std::mt19937_64& random) {
     const auto samples = testing::Record(microphones_, layout_.sample_rate_hz,
                                          layout_.scan_samples(), waves, noise_rms, random);
-    return FindPeaks(*srp_, srp_->Scan(stft_.Analyze(samples)), PeakEvidence{});
+    return finder_.Find(srp_->Scan(stft_.Analyze(samples)));
   }
-  const SrpPhat& srp() const { return *srp_; }
+  const PeakFinder& finder() const { return finder_; }
+  const DirectionGrid& grid() const { return srp_->grid(); }
 
  private:
   Microphones microphones_;
   FrameLayout layout_;
   std::shared_ptr<const SrpPhat> srp_;
+  PeakFinder finder_;
   Stft stft_;
 };
 
@@ -145,8 +149,8 @@ TEST(FindPeaks, APlanarArrayReportsOneImageAndBothSpeak) {
   const Peaks found = listener.Hear({{below}}, 100.0, random);
   ASSERT_EQ(found.peaks.size(), 1u);
   EXPECT_LT(AngleBetween_deg(found.peaks[0].direction_in_array, above), 0.5);
-  const std::vector<float> likelihood = PeakLikelihood(listener.srp(), found.peaks, PeakEvidence{});
-  const DirectionGrid& grid = listener.srp().grid();
+  const std::vector<float> likelihood = listener.finder().Likelihood(found.peaks);
+  const DirectionGrid& grid = listener.grid();
   for (int i = 0; i < grid.size(); ++i) {
     const double angle_deg =
         std::min(AngleBetween_deg(grid[i], above), AngleBetween_deg(grid[i], below));
@@ -165,8 +169,8 @@ TEST(PeakLikelihood, DependsOnTheAngleToTheNearestPeak) {
   Listener listener(testing::DomeArray());
   const std::vector<Peak> peaks = {{Eigen::Vector3d::UnitX(), 20.0},
                                    {Eigen::Vector3d(0.6, 0.0, 0.8), 10.0}};
-  const std::vector<float> likelihood = PeakLikelihood(listener.srp(), peaks, PeakEvidence{});
-  const DirectionGrid& grid = listener.srp().grid();
+  const std::vector<float> likelihood = listener.finder().Likelihood(peaks);
+  const DirectionGrid& grid = listener.grid();
   ASSERT_EQ(static_cast<int>(likelihood.size()), grid.size());
   for (int i = 0; i < grid.size(); ++i) {
     double nearest_deg = 180.0;
@@ -176,7 +180,7 @@ TEST(PeakLikelihood, DependsOnTheAngleToTheNearestPeak) {
     const float expected = nearest_deg <= 3.0 ? 0.9f : nearest_deg <= 10.0 ? 0.5f : 0.4f;
     ASSERT_EQ(likelihood[i], expected) << "direction " << i;
   }
-  const auto silent = PeakLikelihood(listener.srp(), {}, PeakEvidence{});
+  const auto silent = listener.finder().Likelihood({});
   EXPECT_EQ(silent, std::vector<float>(grid.size(), 0.4f));
 }
 

@@ -99,7 +99,8 @@ namespace {
 
 template <typename Spectra>
 double LiteralPowerOf(const FrameLayout& layout, const Microphones& mic_in_array_m,
-                      const Spectra& spectra, const Eigen::Vector3d& direction_in_array) {
+                      const Spectra& spectra, int row_bins,
+                      const Eigen::Vector3d& direction_in_array) {
   const int channels = static_cast<int>(mic_in_array_m.size());
   double power = 0.0;
   for (int b = 0; b < layout.bins; ++b) {
@@ -113,7 +114,7 @@ double LiteralPowerOf(const FrameLayout& layout, const Microphones& mic_in_array
     for (int t = 0; t < layout.frames_per_scan; ++t) {
       std::complex<double> y = 0.0;  // eq. (2)
       for (int n = 0; n < channels; ++n) {
-        const std::size_t i = (static_cast<std::size_t>(t) * channels + n) * layout.bins + b;
+        const std::size_t i = (static_cast<std::size_t>(t) * channels + n) * row_bins + b;
         y += steering[n] * std::complex<double>(spectra.real[i], spectra.imaginary[i]);
       }
       mean += std::norm(y) / layout.frames_per_scan;  // eq. (4)
@@ -127,12 +128,12 @@ double LiteralPowerOf(const FrameLayout& layout, const Microphones& mic_in_array
 
 double LiteralPower(const FrameLayout& layout, const Microphones& mic_in_array_m,
                     const PhatSpectra& spectra, const Eigen::Vector3d& direction_in_array) {
-  return LiteralPowerOf(layout, mic_in_array_m, spectra, direction_in_array);
+  return LiteralPowerOf(layout, mic_in_array_m, spectra, spectra.width, direction_in_array);
 }
 
 double LiteralPower(const FrameLayout& layout, const Microphones& mic_in_array_m,
                     const LiteralSpectra& spectra, const Eigen::Vector3d& direction_in_array) {
-  return LiteralPowerOf(layout, mic_in_array_m, spectra, direction_in_array);
+  return LiteralPowerOf(layout, mic_in_array_m, spectra, layout.bins, direction_in_array);
 }
 
 LiteralSpectra LiteralPhat(const FrameLayout& layout, int microphones,

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 
+#include "acoustics/beam_pattern.h"
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
 
@@ -161,51 +162,10 @@ TEST(SrpPhat, IncoherentNoiseAveragesBandBinsOverMicrophones) {
     }
     const double values = static_cast<double>(kScans) * grid.size();
     EXPECT_NEAR(sum / values, 0.0, 0.01 * layout.bins / count);
-    EXPECT_NEAR(std::sqrt(squares / values) / srp->IncoherentSpread(), 1.0, 0.1);
+    EXPECT_NEAR(std::sqrt(squares / values) /
+                    BeamPattern(layout, kSpeedOfSound_mps, microphones).IncoherentSpread(),
+                1.0, 0.1);
   }
-}
-
-TEST(SrpPhat, TheResponseIsTheScanOfAUnitWave) {
-  std::mt19937_64 random(7);
-  const FrameLayout layout = FrameLayout::Create({}, 16000).value();
-  const DirectionGrid grid = DirectionGrid::EqualArea(geometry::RadFromDeg(6.0));
-  for (const int count : {3, 16}) {
-    const Microphones microphones =
-        count == 16 ? testing::DomeArray() : RandomArray(3, 0.2, random);
-    const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
-    const Eigen::Vector3d source = RandomDirection(random);
-    const AudioScan scan = srp->Scan(testing::WaveSpectra(layout, microphones, source, random));
-    std::vector<float> response(grid.size(), 1.0f);
-    srp->AddResponse(source, 2.0f, 0.5f, response);
-    for (int i = 0; i < grid.size(); ++i) {
-      EXPECT_NEAR(srp->ResponseAt(source, grid[i]), scan.power[i], 1e-3 * layout.bins);
-      EXPECT_NEAR(response[i], 1.0 + 2.0 * (scan.power[i] - 0.5), 2e-2 * layout.bins);
-    }
-  }
-}
-
-TEST(SrpPhat, KnowsWhatTheArrayCannotTellApart) {
-  std::mt19937_64 random(8);
-  const FrameLayout layout = FrameLayout::Create({}, 16000).value();
-  const DirectionGrid grid = RandomGrid(1, random);
-  const auto distance = [&](const Microphones& microphones, const Eigen::Vector3d& a,
-                            const Eigen::Vector3d& b) {
-    const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
-    return testing::AngleBetween_deg(srp->Distinguishable(a), srp->Distinguishable(b));
-  };
-  Microphones space = RandomArray(6, 0.2, random);
-  Microphones plane = space;
-  Microphones line = space;
-  for (Eigen::Vector3d& mic : plane) mic.y() = 0.3;
-  for (Eigen::Vector3d& mic : line) mic = Eigen::Vector3d(0.1, mic.y(), 0.2);
-  const Eigen::Vector3d a = Eigen::Vector3d(0.6, 0.64, 0.48);
-  const Eigen::Vector3d mirrored = Eigen::Vector3d(0.6, -0.64, 0.48);
-  const Eigen::Vector3d turned = Eigen::Vector3d(-0.48, 0.64, 0.6);  // about y
-  EXPECT_NEAR(distance(space, a, mirrored), testing::AngleBetween_deg(a, mirrored), 1e-6);
-  EXPECT_NEAR(distance(plane, a, mirrored), 0.0, 1e-5);
-  EXPECT_NEAR(distance(plane, a, turned), testing::AngleBetween_deg(a, turned), 1e-6);
-  EXPECT_NEAR(distance(line, a, turned), 0.0, 1e-5);
-  EXPECT_NEAR(distance(line, a, mirrored), testing::AngleBetween_deg(a, mirrored), 1e-5);
 }
 
 TEST(SrpPhat, RefusesWhatIsNoArray) {

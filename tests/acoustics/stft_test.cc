@@ -24,11 +24,16 @@ TEST(Stft, EqualsTheDefinitionOfTheTransform) {
         Record(microphones, rate_hz, layout.scan_samples(), {{{1, 0, 0}}}, 200.0, random);
     const PhatSpectra spectra = Stft(layout, 3).Analyze(samples);
     const testing::LiteralSpectra literal = testing::LiteralPhat(layout, 3, samples);
-    ASSERT_EQ(spectra.real.size(), literal.real.size());
-    for (std::size_t i = 0; i < literal.real.size(); ++i) {
-      ASSERT_NEAR(spectra.real[i], literal.real[i], 1e-3);
-      ASSERT_NEAR(spectra.imaginary[i], literal.imaginary[i], 1e-3);
+    std::size_t i = 0;
+    for (int t = 0; t < layout.frames_per_scan; ++t) {
+      for (int n = 0; n < 3; ++n) {
+        for (int b = 0; b < layout.bins; ++b, ++i) {
+          ASSERT_NEAR(spectra.real[spectra.index(t, n, b)], literal.real[i], 1e-3);
+          ASSERT_NEAR(spectra.imaginary[spectra.index(t, n, b)], literal.imaginary[i], 1e-3);
+        }
+      }
     }
+    ASSERT_EQ(i, literal.real.size());
   }
 }
 

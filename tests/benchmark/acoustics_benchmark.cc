@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <variant>
@@ -10,6 +11,7 @@
 
 #include "acoustics/audio_scanner.h"
 #include "acoustics/evidence.h"
+#include "acoustics/peak_finder.h"
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
 #include "tests/benchmark/require.h"
@@ -38,7 +40,11 @@ struct Case {
                 .value()),
         stft(layout, channels),
         gemm(layout, config.speed_of_sound_mps, microphones, srp->grid()),
-        lookup(layout, config.speed_of_sound_mps, microphones, srp->grid()) {
+        lookup(layout, config.speed_of_sound_mps, microphones, srp->grid()),
+        cubic(layout, config.speed_of_sound_mps, microphones, srp->grid()) {
+    if (const auto* evidence = std::get_if<acoustics::PeakEvidence>(&config.evidence)) {
+      finder.emplace(*evidence, layout, config.speed_of_sound_mps, microphones, srp);
+    }
     std::mt19937_64 random(1);
     const int samples = kScans * layout.scan_period_samples() + layout.hop_samples();
     sound = acoustics::testing::Record(
@@ -60,9 +66,7 @@ struct Case {
     if (const auto* thresholds = std::get_if<acoustics::DoubleThreshold>(&config.evidence)) {
       return acoustics::DoubleThresholdLikelihood(scan.power, *thresholds);
     }
-    const auto& evidence = std::get<acoustics::PeakEvidence>(config.evidence);
-    return acoustics::PeakLikelihood(*srp, acoustics::FindPeaks(*srp, scan, evidence).peaks,
-                                     evidence);
+    return finder->Likelihood(finder->Find(scan).peaks);
   }
 
   // Every method against eqs. (2)-(5) in double precision.
@@ -71,15 +75,18 @@ struct Case {
     scan = srp->Scan(spectra);
     const std::vector<float> by_gemm = gemm.Power(spectra);
     const std::vector<float> by_lookup = lookup.Power(spectra);
+    const std::vector<float> by_cubic = cubic.Power(spectra);
     for (int i = 0; i < srp->grid().size(); i += 7) {
       const double power =
           acoustics::testing::LiteralPower(layout, microphones, spectra, srp->grid()[i]);
       error = std::max(error, std::abs(scan.power[i] - power) / layout.bins);
       gemm_error = std::max(gemm_error, std::abs(by_gemm[i] - power) / layout.bins);
       lookup_error = std::max(lookup_error, std::abs(by_lookup[i] - power) / layout.bins);
+      cubic_error = std::max(cubic_error, std::abs(by_cubic[i] - power) / layout.bins);
     }
     Require(error < 1e-4, "our power is off by 1e-4 B or more");
     Require(gemm_error < 1e-4, "the matrix product's power is off by 1e-4 B or more");
+    Require(cubic_error < 1e-4, "the cubic look-up's power is off by 1e-4 B or more");
     Require(lookup_error < 3e-2, "the look-up's power is off by 3e-2 B or more");
   }
 
@@ -88,54 +95,110 @@ struct Case {
   acoustics::testing::Microphones microphones = acoustics::testing::DomeArray();
   int channels = static_cast<int>(microphones.size());
   std::shared_ptr<const SrpPhat> srp;
+  std::optional<acoustics::PeakFinder> finder;
   acoustics::Stft stft;
   BinGemm gemm;
   GccLookup lookup;
+  CubicLookUp cubic;
   std::vector<std::int16_t> sound;
   AudioScan scan;  // of the first samples
   double error = 0.0;
   double gemm_error = 0.0;
   double lookup_error = 0.0;
+  double cubic_error = 0.0;
 };
 
-void Report(benchmark::State& state, const Case& c, double error) {
+void ReportRobots(benchmark::State& state, double period_s) {
   state.counters["robots_per_core"] =
-      benchmark::Counter(c.period_s(), benchmark::Counter::kIsIterationInvariantRate);
+      benchmark::Counter(period_s, benchmark::Counter::kIsIterationInvariantRate);
+}
+
+void Report(benchmark::State& state, const Case& c, double error) {
+  ReportRobots(state, c.period_s());
   state.counters["max_error_of_B"] = error;
 }
 
-void Ours(benchmark::State& state, const Case& c) {
-  const auto scanner =
-      AudioScanner::Create(c.config, acoustics::testing::CalibrationOf(c.microphones, kRate_hz))
-          .value();
-  std::vector<frames::AudioBlock> blocks(kScans);
-  const std::size_t lead = static_cast<std::size_t>(c.layout.hop_samples()) * c.channels;
-  const std::size_t period = static_cast<std::size_t>(c.layout.scan_period_samples()) * c.channels;
-  for (int k = 0; k < kScans; ++k) {
-    const auto first = c.sound.begin() + static_cast<std::ptrdiff_t>(lead + k * period);
-    blocks[k] = {0, kRate_hz, c.channels, {first, first + static_cast<std::ptrdiff_t>(period)}};
-  }
-  // After these samples, each block completes one scan.
-  frames::AudioBlock block{kStart_ns,
-                           kRate_hz,
-                           c.channels,
-                           {c.sound.begin(), c.sound.begin() + static_cast<std::ptrdiff_t>(lead)}};
-  Require(scanner->Push(block).value().empty(), "a scan before its time");
-  frames::TimeNs stamp_ns =
-      kStart_ns + frames::NsFromSeconds(static_cast<double>(c.layout.hop_samples()) / kRate_hz);
-  int k = 0;
-  for (auto _ : state) {
-    blocks[k].stamp_ns = stamp_ns;
-    auto scans = scanner->Push(blocks[k]);
-    if (!scans.ok() || scans->size() != 1 || !scans->front().fault.empty()) {
-      state.SkipWithError("not one scan a block");
-      break;
+// A scanner, and blocks of sound of which each completes one scan.
+class Robot {
+ public:
+  Robot(const AcousticsConfig& config, const acoustics::testing::Microphones& microphones,
+        const std::vector<std::int16_t>& sound)
+      : scanner_(
+            AudioScanner::Create(config, acoustics::testing::CalibrationOf(microphones, kRate_hz))
+                .value()),
+        blocks_(kScans) {
+    const int channels = static_cast<int>(microphones.size());
+    const FrameLayout& layout = scanner_->layout();
+    const std::ptrdiff_t lead = static_cast<std::ptrdiff_t>(layout.hop_samples()) * channels;
+    const std::ptrdiff_t period =
+        static_cast<std::ptrdiff_t>(layout.scan_period_samples()) * channels;
+    Require(static_cast<std::ptrdiff_t>(sound.size()) >= lead + kScans * period,
+            "too little sound");
+    for (int k = 0; k < kScans; ++k) {
+      const auto first = sound.begin() + lead + k * period;
+      blocks_[k] = {0, kRate_hz, channels, {first, first + period}};
     }
-    benchmark::DoNotOptimize(scans->front().likelihood.data());
-    stamp_ns += frames::NsFromSeconds(c.period_s());
-    k = (k + 1) % kScans;
+    Require(scanner_->Push({kStart_ns, kRate_hz, channels, {sound.begin(), sound.begin() + lead}})
+                .value()
+                .empty(),
+            "a scan before its time");
+    stamp_ns_ =
+        kStart_ns + frames::NsFromSeconds(static_cast<double>(layout.hop_samples()) / kRate_hz);
   }
+
+  void Hear() {
+    blocks_[next_].stamp_ns = stamp_ns_;
+    auto scans = scanner_->Push(blocks_[next_]);
+    Require(scans.ok() && scans->size() == 1 && scans->front().fault.empty(), "not a scan a block");
+    benchmark::DoNotOptimize(scans->front().likelihood.data());
+    stamp_ns_ += frames::NsFromSeconds(period_s());
+    next_ = (next_ + 1) % kScans;
+  }
+  double period_s() const {
+    return static_cast<double>(scanner_->layout().scan_period_samples()) / kRate_hz;
+  }
+  int directions() const { return scanner_->grid().size(); }
+
+ private:
+  std::unique_ptr<AudioScanner> scanner_;
+  std::vector<frames::AudioBlock> blocks_;
+  frames::TimeNs stamp_ns_ = 0;
+  int next_ = 0;
+};
+
+void Ours(benchmark::State& state, const Case& c) {
+  Robot robot(c.config, c.microphones, c.sound);
+  for (auto _ : state) robot.Hear();
   Report(state, c, c.error);
+}
+
+// The same for robots in turn that share their tables, a scan an iteration. What batching their
+// scans could save beyond is the reading of tables that are still in the cache.
+void OursOfSixteen(benchmark::State& state, const Case& c) {
+  std::vector<std::unique_ptr<Robot>> robots;
+  for (int r = 0; r < 16; ++r) {
+    robots.push_back(std::make_unique<Robot>(c.config, c.microphones, c.sound));
+  }
+  std::size_t next = 0;
+  for (auto _ : state) robots[next++ % robots.size()]->Hear();
+  Report(state, c, c.error);
+}
+
+// How the cost grows: the likelihood by thresholds, so that the power is most of it.
+void Growth(benchmark::State& state, int microphones, int directions) {
+  std::mt19937_64 random(2);
+  AcousticsConfig config = AcousticsConfig::Paper();
+  config.grid = acoustics::EqualAreaGrid{std::sqrt(4.0 * geometry::kPi / directions)};
+  const auto array = acoustics::testing::RandomArray(microphones, 0.15, random);
+  const FrameLayout layout = FrameLayout::Create(config, kRate_hz).value();
+  Robot robot(config, array,
+              acoustics::testing::Record(
+                  array, kRate_hz, kScans * layout.scan_period_samples() + layout.hop_samples(), {},
+                  400.0, random));
+  for (auto _ : state) robot.Hear();
+  ReportRobots(state, robot.period_s());
+  state.counters["microphones"] = microphones;
+  state.counters["directions"] = robot.directions();
 }
 
 template <typename Method>
@@ -167,6 +230,10 @@ void Register(const std::string& grid, const AcousticsConfig& config) {
   add("audio_scan", "ours", [c](benchmark::State& state) { Ours(state, *c); });
   add("audio_scan", "gcc_lookup_x4",
       [c](benchmark::State& state) { Peer(state, *c, c->lookup, c->lookup_error); });
+  add("audio_scan", "cubic_look_up",
+      [c](benchmark::State& state) { Peer(state, *c, c->cubic, c->cubic_error); });
+  add("audio_scan_of_16_robots", "ours",
+      [c](benchmark::State& state) { OursOfSixteen(state, *c); });
   add("audio_scan", "bin_gemm",
       [c](benchmark::State& state) { Peer(state, *c, c->gemm, c->gemm_error); });
   add("srp_power", "ours", [c](benchmark::State& state) {
@@ -174,6 +241,9 @@ void Register(const std::string& grid, const AcousticsConfig& config) {
   });
   add("srp_power", "gcc_lookup_x4", [c](benchmark::State& state) {
     Power(state, *c, [&c](const auto& spectra) { return c->lookup.Power(spectra); });
+  });
+  add("srp_power", "cubic_look_up", [c](benchmark::State& state) {
+    Power(state, *c, [&c](const auto& spectra) { return c->cubic.Power(spectra); });
   });
   add("srp_power", "bin_gemm", [c](benchmark::State& state) {
     Power(state, *c, [&c](const auto& spectra) { return c->gemm.Power(spectra); });
@@ -187,6 +257,44 @@ void Register(const std::string& grid, const AcousticsConfig& config) {
   });
 }
 
+void RegisterGrowth() {
+  const auto add = [](const char* by, int value, int microphones, int directions) {
+    benchmark::RegisterBenchmark(
+        ("audio_scan_by_" + std::string(by) + "/ours/" + std::to_string(value)).c_str(),
+        [=](benchmark::State& state) { Growth(state, microphones, directions); })
+        ->Unit(benchmark::kMillisecond);
+  };
+  for (const int microphones : {4, 8, 16, 32, 64}) {
+    add("microphones", microphones, microphones, 10000);
+  }
+  for (const int directions : {500, 1000, 2000, 5000, 10000, 20000}) {
+    add("directions", directions, 16, directions);
+  }
+}
+
+// What run-time dispatch gains: the inner loop of most steps, on a table of the first-level cache.
+void RegisterInnerLoops() {
+  for (const acoustics::Kernels& kernels : acoustics::AllKernels()) {
+    const bool best = &kernels == &acoustics::BestKernels();
+    const std::string method = best ? "ours" : kernels.name;
+    benchmark::RegisterBenchmark(
+        ("inner_loop_of_sums/" + method).c_str(), [&kernels](benchmark::State& state) {
+          constexpr int kRows = 51;
+          constexpr int kWidth = 32;
+          constexpr int kSums = 4;
+          const std::vector<float> row(kRows * kWidth, 1.0f);
+          const std::vector<float> weight(kRows * kSums, 1.0f);
+          std::vector<float> sum(kWidth * kSums);
+          for (auto _ : state) {
+            kernels.weigh_rows({row.data(), kWidth, kRows, kWidth, weight.data(), kRows, 1, kSums,
+                                sum.data(), kWidth});
+            benchmark::DoNotOptimize(sum.data());
+          }
+          state.SetItemsProcessed(state.iterations() * kRows * kWidth * kSums);
+        });
+  }
+}
+
 }  // namespace
 }  // namespace soundmap::benchmarks
 
@@ -194,7 +302,9 @@ int main(int argc, char** argv) {
   benchmark::Initialize(&argc, argv);
   if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
   soundmap::benchmarks::Register("paper_4636", soundmap::acoustics::AcousticsConfig::Paper());
-  soundmap::benchmarks::Register("default_10313", soundmap::acoustics::AcousticsConfig::Default());
+  soundmap::benchmarks::Register("default_10312", soundmap::acoustics::AcousticsConfig::Default());
+  soundmap::benchmarks::RegisterGrowth();
+  soundmap::benchmarks::RegisterInnerLoops();
   benchmark::RunSpecifiedBenchmarks();
   return 0;
 }

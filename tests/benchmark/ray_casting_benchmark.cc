@@ -158,7 +158,7 @@ int main(int argc, char** argv) {
   benchmark::Initialize(&argc, argv);
   if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
   soundmap::benchmarks::Register("paper_4636", AcousticsConfig::Paper().MakeGrid());
-  soundmap::benchmarks::Register("default_10313", AcousticsConfig::Default().MakeGrid());
+  soundmap::benchmarks::Register("default_10312", AcousticsConfig::Default().MakeGrid());
   benchmark::RunSpecifiedBenchmarks();
   return 0;
 }

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "geometry/angles.h"
+#include "tests/benchmark/require.h"
 
 namespace soundmap::benchmarks {
 
@@ -120,6 +121,29 @@ std::vector<float> GccLookup::Power(const PhatSpectra& spectra) {
   const auto auto_power = static_cast<float>(auto_sum / (squared * spectra.frames));
   for (float& sum : sums) sum = auto_power + scale * sum;
   return sums;
+}
+
+CubicLookUp::CubicLookUp(const acoustics::FrameLayout& layout, double speed_of_sound_mps,
+                         const std::vector<Eigen::Vector3d>& mic_in_array_m,
+                         const geometry::DirectionGrid& grid) {
+  // The same directions in turn from both ends: neighbours form no rings.
+  std::vector<Eigen::Vector3d> directions;
+  for (int i = 0; i < grid.size(); ++i) {
+    place_.push_back(i % 2 == 0 ? i / 2 : grid.size() - 1 - i / 2);
+    directions.push_back(grid[place_.back()]);
+  }
+  srp_ =
+      acoustics::SrpPhat::Create(layout, speed_of_sound_mps, mic_in_array_m,
+                                 geometry::DirectionGrid(std::move(directions), grid.spacing_rad()))
+          .value();
+  Require(!srp_->by_harmonics(), "the look-up is none");
+}
+
+std::vector<float> CubicLookUp::Power(const acoustics::PhatSpectra& spectra) {
+  const std::vector<float> in_turn = srp_->Scan(spectra).power;
+  std::vector<float> power(in_turn.size());
+  for (std::size_t i = 0; i < power.size(); ++i) power[place_[i]] = in_turn[i];
+  return power;
 }
 
 }  // namespace soundmap::benchmarks

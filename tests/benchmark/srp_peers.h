@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "acoustics/config.h"
+#include "acoustics/srp_phat.h"
 #include "acoustics/stft.h"
 #include "geometry/directions.h"
 
@@ -57,6 +58,19 @@ class GccLookup {
   std::unique_ptr<float, Deleter<&fftwf_free>> correlation_;
   std::unique_ptr<std::remove_pointer_t<fftwf_plan>, Deleter<&fftwf_destroy_plan>> plan_;
   std::vector<std::uint16_t> delay_;  // pair by pair, a sample of the correlation each direction
+};
+
+// Our own way for grids that are not rings: correlations of the pairs as cubics of the delay.
+class CubicLookUp {
+ public:
+  CubicLookUp(const acoustics::FrameLayout& layout, double speed_of_sound_mps,
+              const std::vector<Eigen::Vector3d>& mic_in_array_m,
+              const geometry::DirectionGrid& grid);
+  std::vector<float> Power(const acoustics::PhatSpectra& spectra);
+
+ private:
+  std::shared_ptr<const acoustics::SrpPhat> srp_;
+  std::vector<int> place_;  // of the directions in a grid without rings
 };
 
 }  // namespace soundmap::benchmarks

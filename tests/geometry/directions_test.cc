@@ -53,7 +53,7 @@ TEST(DirectionGrid, NoDirectionTwiceOnAClosedCircleOrAtAPole) {
 
 TEST(DirectionGrid, EqualAreaCoversTheSphereEvenly) {
   const auto two_degrees = DirectionGrid::EqualArea(RadFromDeg(2.0));
-  EXPECT_EQ(two_degrees.size(), 10313);
+  EXPECT_EQ(two_degrees.size(), 10312);
   const double spacing_rad = RadFromDeg(6.0);
   const auto grid = DirectionGrid::EqualArea(spacing_rad);
   EXPECT_GT(SmallestAngle(grid), 0.7 * spacing_rad);

@@ -1,0 +1,357 @@
+#include "acoustics/beam_pattern.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#include "geometry/angles.h"
+
+namespace soundmap::acoustics {
+namespace {
+
+using geometry::kPi;
+
+constexpr int kLanes = 4;
+constexpr double kMaxStep = 0.5;
+typedef float Float4 __attribute__((vector_size(16)));
+typedef std::int32_t Int4 __attribute__((vector_size(16)));
+
+Float4 Load(const float* p) {
+  Float4 value;
+  std::memcpy(&value, p, sizeof(value));
+  return value;
+}
+Float4 Splat(float value) { return Float4{value, value, value, value}; }
+
+// The four cubic B-splines that are not zero at t = 0 .. 1 after a knot.
+struct Weights {
+  Float4 tap[4];
+};
+Weights BSpline(Float4 t) {
+  constexpr float kSixth = 1.0f / 6.0f;
+  const Float4 rest = 1.0f - t;
+  Weights w;
+  w.tap[0] = kSixth * rest * rest * rest;
+  w.tap[1] = 2.0f / 3.0f - 0.5f * t * t * (2.0f - t);
+  w.tap[2] = 2.0f / 3.0f - 0.5f * rest * rest * (1.0f + t);
+  w.tap[3] = kSixth * t * t * t;
+  return w;
+}
+
+Float4 RowSum(const float* row, std::ptrdiff_t stride, const Weights& weights, int lane) {
+  Float4 sum = weights.tap[0][lane] * Load(row);
+  for (int tap = 1; tap < 4; ++tap) sum += weights.tap[tap][lane] * Load(row + tap * stride);
+  return sum;
+}
+
+// Rows to columns.
+void Transpose(Float4& a, Float4& b, Float4& c, Float4& d) {
+  const Float4 ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5);
+  const Float4 ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+  const Float4 cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5);
+  const Float4 cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+  a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
+  b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
+  c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
+  d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
+}
+
+// Samples to coefficients of the cubic B-spline through them, in place. The ends, where samples are
+// missing, are not exact; the error falls by 3.7 a sample.
+void Prefilter(double* sample, int count, std::ptrdiff_t stride) {
+  const double pole = std::sqrt(3.0) - 2.0;
+  for (int i = 1; i < count; ++i) sample[i * stride] += pole * sample[(i - 1) * stride];
+  sample[(count - 1) * stride] *= -pole / (1.0 - pole);
+  for (int i = count - 2; i >= 0; --i) {
+    sample[i * stride] = pole * (sample[(i + 1) * stride] - sample[i * stride]);
+  }
+  for (int i = 0; i < count; ++i) sample[i * stride] *= 6.0;
+}
+
+}  // namespace
+
+BeamPattern::BeamPattern(const FrameLayout& layout, double speed_of_sound_mps,
+                         const std::vector<Eigen::Vector3d>& mic_in_array_m)
+    : layout_(layout), microphones_(static_cast<int>(mic_in_array_m.size())) {
+  BuildGroups(speed_of_sound_mps, mic_in_array_m);
+  BuildBand();
+  BuildAxes();
+  BuildTable();
+}
+
+void BeamPattern::BuildGroups(double speed_of_sound_mps,
+                              const std::vector<Eigen::Vector3d>& mic_in_array_m) {
+  constexpr double kSameDifference_m = 1e-6;
+  const double same_s = kSameDifference_m / speed_of_sound_mps;
+  for (int a = 0; a < microphones_; ++a) {
+    for (int b = a + 1; b < microphones_; ++b) {
+      const Eigen::Vector3d delay_s = (mic_in_array_m[a] - mic_in_array_m[b]) / speed_of_sound_mps;
+      const auto same = std::find_if(groups_.begin(), groups_.end(), [&](const PairGroup& group) {
+        return (group.delay_s - delay_s).norm() < same_s ||
+               (group.delay_s + delay_s).norm() < same_s;
+      });
+      if (same == groups_.end()) {
+        groups_.push_back({delay_s, 1});
+      } else {
+        ++same->count;
+      }
+    }
+  }
+}
+
+double BeamPattern::BandSum(double delay_s) const {
+  const double bin_spacing_hz =
+      layout_.sample_rate_hz / static_cast<double>(layout_.window_samples);
+  const double mid_hz = 0.5 * (layout_.bin_hz(0) + layout_.bin_hz(layout_.bins - 1));
+  // The sum of cos(2 pi f tau) over equally spaced f. Near a zero of the denominator all terms
+  // agree.
+  const double half_phase = kPi * bin_spacing_hz * delay_s;
+  const double turn = std::remainder(half_phase, kPi);
+  const double dirichlet =
+      std::abs(turn) < 1e-9
+          ? layout_.bins * (std::cos(half_phase) < 0.0 && layout_.bins % 2 == 0 ? -1.0 : 1.0)
+          : std::sin(layout_.bins * half_phase) / std::sin(half_phase);
+  return std::cos(2.0 * kPi * mid_hz * delay_s) * dirichlet;
+}
+
+void BeamPattern::BuildBand() {
+  constexpr double kStep_rad = 0.02;  // at the band's upper end; linear between: 5e-5 B off
+  double max_delay_s = 0.0;
+  for (const PairGroup& group : groups_) max_delay_s = std::max(max_delay_s, group.delay_s.norm());
+  const double max_rad_s = 2.0 * kPi * std::max(layout_.bin_hz(layout_.bins - 1), 1.0);
+  resolution_rad_ = kPi / (max_rad_s * max_delay_s);
+  band_step_s_ = kStep_rad / max_rad_s;
+  // Delays of two directions differ by at most twice the largest delay.
+  band_.resize(static_cast<std::size_t>(std::ceil(2.0 * max_delay_s / band_step_s_)) + 2);
+  for (std::size_t i = 0; i < band_.size(); ++i) {
+    band_[i] = static_cast<float>(BandSum(static_cast<double>(i) * band_step_s_));
+  }
+}
+
+void BeamPattern::BuildAxes() {
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  for (const PairGroup& group : groups_) scatter += group.delay_s * group.delay_s.transpose();
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(scatter);  // smallest first
+  constexpr double kFlat = 1e-6;  // relative variance: a thickness of a thousandth of the width
+  const Eigen::Vector3d variance = axes.eigenvalues() / axes.eigenvalues()[2];
+  array_rank_ = variance[1] < kFlat ? 1 : variance[0] < kFlat ? 2 : 3;
+  array_axis_ = axes.eigenvectors().col(array_rank_ == 1 ? 2 : 0);
+  // A plane's normal points up, or forwards, or left.
+  const double orientation = std::abs(array_axis_.z()) > 1e-3   ? array_axis_.z()
+                             : std::abs(array_axis_.x()) > 1e-3 ? array_axis_.x()
+                                                                : array_axis_.y();
+  if (orientation < 0.0) array_axis_ = -array_axis_;
+
+  steps_from_direction_.setZero();
+  for (int axis = 3 - array_rank_; axis < 3; ++axis) {
+    const Eigen::Vector3d along = axes.eigenvectors().col(axis);
+    const double step = StepAlong(along);
+    steps_from_direction_.row(axis) = along.transpose() / step;
+    direction_from_steps_.col(axis) = along * step;
+    // Coordinates of differences of two directions, and the splines' taps around them.
+    const int reach = static_cast<int>(std::ceil(2.0 / step)) + 2;
+    begin_[axis] = axis == 3 - array_rank_ ? -2 : -reach;
+    length_[axis] = reach - begin_[axis] + 1;
+  }
+}
+
+// The longest step that keeps the error of all waves together within this axis's share.
+double BeamPattern::StepAlong(const Eigen::Vector3d& axis) const {
+  // A wave of k radians a step is off by (k^4 + 0.28 k^6) / 384 or less (up to k = 1.5).
+  constexpr double kLongestStep_rad = 1.5;
+  double largest_rad = 0.0;
+  double fourth_powers = 0.0;
+  double sixth_powers = 0.0;
+  for (const PairGroup& group : groups_) {
+    for (int b = 0; b < layout_.bins; ++b) {
+      const double phase_rad = 2.0 * kPi * layout_.bin_hz(b) * std::abs(axis.dot(group.delay_s));
+      largest_rad = std::max(largest_rad, phase_rad);
+      fourth_powers += 2.0 * group.count * std::pow(phase_rad, 4);
+      sixth_powers += 2.0 * group.count * std::pow(phase_rad, 6);
+    }
+  }
+  const double waves = static_cast<double>(layout_.bins) * microphones_ * microphones_;
+  const double allowed = 384.0 * kMaxError / array_rank_ * waves;
+  double step = std::min(kMaxStep, kLongestStep_rad / largest_rad);
+  while (fourth_powers * std::pow(step, 4) + 0.28 * sixth_powers * std::pow(step, 6) > allowed) {
+    step *= 0.95;
+  }
+  return step;
+}
+
+void BeamPattern::BuildTable() {
+  constexpr int kMargin = 6;  // samples beyond the table for the prefilter
+  constexpr double kMaxLookups = 5e8;
+  int length[3] = {1, 1, 1};
+  int begin[3] = {0, 0, 0};
+  int margin[3] = {0, 0, 0};
+  double samples = 1.0;
+  for (int axis = 3 - array_rank_; axis < 3; ++axis) {
+    margin[axis] = kMargin;
+    length[axis] = length_[axis] + 2 * kMargin;
+    begin[axis] = begin_[axis] - kMargin;
+    samples *= length[axis];
+  }
+  if (!(samples * static_cast<double>(groups_.size()) <= kMaxLookups)) return;
+
+  std::vector<double> sample;
+  sample.reserve(static_cast<std::size_t>(samples));
+  for (int i = begin[0]; i < begin[0] + length[0]; ++i) {
+    for (int j = begin[1]; j < begin[1] + length[1]; ++j) {
+      for (int k = begin[2]; k < begin[2] + length[2]; ++k) {
+        sample.push_back(PairByPair(direction_from_steps_ * Eigen::Vector3d(i, j, k)));
+      }
+    }
+  }
+  const std::ptrdiff_t stride[3] = {static_cast<std::ptrdiff_t>(length[1]) * length[2], length[2],
+                                    1};
+  for (int axis = 3 - array_rank_; axis < 3; ++axis) {
+    for (std::size_t at = 0; at < sample.size(); ++at) {
+      if (static_cast<std::ptrdiff_t>(at) / stride[axis] % length[axis] != 0) continue;
+      Prefilter(&sample[at], length[axis], stride[axis]);
+    }
+  }
+  table_.reserve(static_cast<std::size_t>(length_[0]) * length_[1] * length_[2]);
+  for (int i = margin[0]; i < margin[0] + length_[0]; ++i) {
+    for (int j = margin[1]; j < margin[1] + length_[1]; ++j) {
+      const double* row = &sample[i * stride[0] + j * stride[1] + margin[2]];
+      for (int k = 0; k < length_[2]; ++k) table_.push_back(static_cast<float>(row[k]));
+    }
+  }
+}
+
+double BeamPattern::PairByPair(const Eigen::Vector3d& difference) const {
+  double sum = 0.0;
+  for (const PairGroup& group : groups_) {
+    const double delay_s = group.delay_s.dot(difference);
+    const double position = std::abs(delay_s) / band_step_s_;
+    const auto index = static_cast<std::size_t>(position);
+    if (index + 1 < band_.size()) {
+      const double t = position - static_cast<double>(index);
+      sum += group.count * ((1.0 - t) * band_[index] + t * band_[index + 1]);
+    } else {
+      sum += group.count * BandSum(delay_s);
+    }
+  }
+  const double n = microphones_;
+  return Incoherent() + 2.0 * sum / (n * n);
+}
+
+BeamPattern::Places BeamPattern::Prepare(std::span<const Eigen::Vector3d> directions) const {
+  Places places;
+  places.size_ = static_cast<int>(directions.size());
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<float>& at = places.at_[axis];
+    at.reserve(directions.size() + kLanes);
+    for (const Eigen::Vector3d& direction : directions) {
+      at.push_back(static_cast<float>(
+          table_.empty() ? direction[axis] : steps_from_direction_.row(axis) * direction));
+    }
+    at.resize(directions.size() + kLanes, at.empty() ? 0.0f : at.back());
+  }
+  return places;
+}
+
+void BeamPattern::AddResponse(const Eigen::Vector3d& source, float gain, float offset,
+                              const Places& directions, int first, std::span<float> power) const {
+  if (table_.empty()) {
+    for (std::size_t i = 0; i < power.size(); ++i) {
+      const std::size_t at = first + i;
+      const Eigen::Vector3d direction(directions.at_[0][at], directions.at_[1][at],
+                                      directions.at_[2][at]);
+      power[i] += gain * (static_cast<float>(PairByPair(direction - source)) - offset);
+    }
+    return;
+  }
+  const Eigen::Vector3f origin = (steps_from_direction_ * source).cast<float>();
+  const float* const at[3] = {&directions.at_[0][first], &directions.at_[1][first],
+                              &directions.at_[2][first]};
+  const auto responses = [&](std::size_t i) {
+    const Float4 difference[3] = {Load(at[0] + i) - origin[0], Load(at[1] + i) - origin[1],
+                                  Load(at[2] + i) - origin[2]};
+    return array_rank_ == 3   ? FromTable<3>(difference)
+           : array_rank_ == 2 ? FromTable<2>(difference)
+                              : FromTable<1>(difference);
+  };
+  std::size_t i = 0;
+  for (; i + kLanes <= power.size(); i += kLanes) {
+    const Float4 sum = Load(&power[i]) + gain * (responses(i) - offset);
+    std::memcpy(&power[i], &sum, sizeof(sum));
+  }
+  if (i == power.size()) return;
+  const Float4 rest = gain * (responses(i) - offset);
+  for (int lane = 0; i < power.size(); ++i, ++lane) power[i] += rest[lane];
+}
+
+double BeamPattern::ResponseAt(const Eigen::Vector3d& source,
+                               const Eigen::Vector3d& direction) const {
+  if (table_.empty()) return PairByPair(direction - source);
+  const Eigen::Vector3f steps = (steps_from_direction_ * (direction - source)).cast<float>();
+  const Float4 difference[3] = {Splat(steps[0]), Splat(steps[1]), Splat(steps[2])};
+  return (array_rank_ == 3   ? FromTable<3>(difference)
+          : array_rank_ == 2 ? FromTable<2>(difference)
+                             : FromTable<1>(difference))[0];
+}
+
+template <int kRank>
+Float4 BeamPattern::FromTable(const Float4 difference[3]) const {
+  // The first coordinate is brought above 0: the response is even.
+  constexpr int kFirst = 3 - kRank;
+  const Int4 sign = std::bit_cast<Int4>(difference[kFirst]) & INT32_MIN;
+  Int4 base = {0, 0, 0, 0};
+  Weights weights[3];
+  for (int axis = kFirst; axis < 3; ++axis) {
+    const Int4 bits = std::bit_cast<Int4>(difference[axis]) ^ sign;
+    const Float4 steps = std::bit_cast<Float4>(bits) - static_cast<float>(begin_[axis]);
+    const Int4 whole = __builtin_convertvector(steps, Int4);
+    weights[axis] = BSpline(steps - __builtin_convertvector(whole, Float4));
+    base = base * length_[axis] + (whole - 1);
+  }
+  Transpose(weights[2].tap[0], weights[2].tap[1], weights[2].tap[2], weights[2].tap[3]);
+  Float4 sum[kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const float* row = table_.data() + base[lane];
+    if constexpr (kRank == 1) {
+      sum[lane] = Load(row);
+    } else if constexpr (kRank == 2) {
+      sum[lane] = RowSum(row, length_[2], weights[1], lane);
+    } else {
+      const std::ptrdiff_t plane = static_cast<std::ptrdiff_t>(length_[1]) * length_[2];
+      sum[lane] = weights[0].tap[0][lane] * RowSum(row, length_[2], weights[1], lane);
+      for (int tap = 1; tap < 4; ++tap) {
+        sum[lane] +=
+            weights[0].tap[tap][lane] * RowSum(row + tap * plane, length_[2], weights[1], lane);
+      }
+    }
+    sum[lane] *= weights[2].tap[lane];
+  }
+  Transpose(sum[0], sum[1], sum[2], sum[3]);
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+double BeamPattern::IncoherentSpread() const {
+  // |Y|^2 of N independent unit phasors over N has the variance (1 - 1/N) / N^2. Neighbours in the
+  // sums of eqs. (4) and (5) are correlated:
+  // |.|^2 of periodic Hann windows by (2/3)^2 one bin apart, (1/6)^2 two bins apart, (1/6)^2 half a
+  // window apart.
+  constexpr double kBins = 1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0);
+  constexpr double kFrames = 1.0 + 2.0 / 36.0;
+  const double n = microphones_;
+  return std::sqrt(kBins * kFrames * layout_.bins / layout_.frames_per_scan * (1.0 - 1.0 / n)) / n;
+}
+
+Eigen::Vector3d BeamPattern::Distinguishable(const Eigen::Vector3d& direction) const {
+  if (array_rank_ == 3) return direction;
+  const double along = array_axis_.dot(direction);
+  if (array_rank_ == 2) {
+    return along < 0.0 ? MirrorImage(direction) : direction;
+  }
+  // A point on a half circle from one end of the axis to the other.
+  const double across = std::sqrt(std::max(0.0, 1.0 - along * along));
+  return along * array_axis_ + across * array_axis_.unitOrthogonal();
+}
+
+}  // namespace soundmap::acoustics

@@ -1,0 +1,106 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <vector>
+
+#include "acoustics/config.h"
+
+namespace soundmap::acoustics {
+
+// How the array answers to a plane wave and to noise: eqs. (2)-(5) applied to what is known of
+// them. Directions are unit vectors in mic_array. Immutable; any number of threads.
+class BeamPattern {
+ public:
+  // No response is off by more than this share of B, and typically by a third of it.
+  static constexpr double kMaxError = 2e-4;
+
+  // Of an array and a band that SrpPhat::Create() accepts.
+  BeamPattern(const FrameLayout& layout, double speed_of_sound_mps,
+              const std::vector<Eigen::Vector3d>& mic_in_array_m);
+
+  // The power in `direction` of a unit plane wave from `source`: B where they are equal.
+  double ResponseAt(const Eigen::Vector3d& source, const Eigen::Vector3d& direction) const;
+
+  // Directions prepared for AddResponse().
+  class Places {
+   public:
+    int size() const { return size_; }
+
+   private:
+    friend class BeamPattern;
+    int size_ = 0;
+    std::vector<float> at_[3];  // padded
+  };
+  Places Prepare(std::span<const Eigen::Vector3d> directions) const;
+
+  // power[i] += gain * (the response in direction first + i - offset), for as many as `power` has.
+  void AddResponse(const Eigen::Vector3d& source, float gain, float offset,
+                   const Places& directions, int first, std::span<float> power) const;
+
+  // Standard deviation of S, in one direction, in noise that is independent at each microphone.
+  double IncoherentSpread() const;
+  // S of such noise, on average.
+  double Incoherent() const { return static_cast<double>(layout_.bins) / microphones_; }
+
+  // Half the period of the fastest change of S with the direction: nothing lies between directions
+  // that are closer.
+  double resolution_rad() const { return resolution_rad_; }
+
+  // The directions that the array cannot tell from `direction` have the same image under this map:
+  // itself in space, its mirror image for microphones in a plane, a cone for microphones in a line.
+  // Image points of distinguishable directions are as far apart as they are.
+  Eigen::Vector3d Distinguishable(const Eigen::Vector3d& direction) const;
+
+  // The other direction with the same response, for microphones in a plane.
+  Eigen::Vector3d MirrorImage(const Eigen::Vector3d& direction) const {
+    return direction - 2.0 * array_axis_.dot(direction) * array_axis_;
+  }
+
+  // 1: the microphones lie in a line, 2: in a plane, 3: in space.
+  int array_rank() const { return array_rank_; }
+
+ private:
+  // Microphone pairs with one difference vector.
+  struct PairGroup {
+    Eigen::Vector3d delay_s;  // of the vector
+    int count = 0;
+  };
+
+  // Four directions at once.
+  typedef float Float4 __attribute__((vector_size(16)));
+
+  void BuildGroups(double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m);
+  void BuildAxes();
+  void BuildBand();
+  void BuildTable();
+  double StepAlong(const Eigen::Vector3d& axis) const;
+  double BandSum(double delay_s) const;  // sum over the band of cos(2 pi f tau)
+  double PairByPair(const Eigen::Vector3d& difference) const;
+  // The responses at differences of directions in steps.
+  template <int kRank>
+  Float4 FromTable(const Float4 difference[3]) const;
+
+  FrameLayout layout_;
+  int microphones_;
+  std::vector<PairGroup> groups_;
+  int array_rank_ = 3;
+  Eigen::Vector3d array_axis_ = Eigen::Vector3d::UnitZ();  // of a line; normal of a plane
+  double resolution_rad_ = 0.0;
+
+  std::vector<float> band_;  // BandSum(), by delay
+  double band_step_s_ = 0.0;
+
+  // The response depends on the difference d of direction and source alone, and is the same for -d;
+  // for a plane only the part of d in the plane counts. The table has the coefficients of cubic
+  // B-splines over d on the array's principal axes, the widest last, in steps along each; the first
+  // coordinate that counts is never negative. Empty where it would be too large: then all goes pair
+  // by pair.
+  std::vector<float> table_;
+  Eigen::Matrix3d steps_from_direction_ = Eigen::Matrix3d::Zero();
+  Eigen::Matrix3d direction_from_steps_ = Eigen::Matrix3d::Zero();
+  int begin_[3] = {0, 0, 0};  // of the table, in steps
+  int length_[3] = {1, 1, 1};
+};
+
+}  // namespace soundmap::acoustics

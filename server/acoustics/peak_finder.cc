@@ -1,0 +1,205 @@
+#include "acoustics/peak_finder.h"
+
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace soundmap::acoustics {
+namespace {
+
+// Quartile to median of a normal distribution, in standard deviations.
+constexpr double kQuartileInSigmas = 0.6744897501960817;
+
+// Cells are so small that the power cannot fall from a maximum of the grid to less than half of it
+// (above the noise floor) at the centre of the maximum's cell.
+constexpr double kCellsPerResolution = 3.0;
+constexpr double kLeastAtCentre = 0.5;
+
+std::vector<Eigen::Vector3d> Pick(const geometry::DirectionGrid& grid, std::span<const int> which) {
+  std::vector<Eigen::Vector3d> directions;
+  directions.reserve(which.size());
+  for (const int i : which) directions.push_back(grid[i]);
+  return directions;
+}
+
+}  // namespace
+
+PeakFinder::PeakFinder(const PeakEvidence& evidence, const FrameLayout& layout,
+                       double speed_of_sound_mps,
+                       const std::vector<Eigen::Vector3d>& mic_in_array_m,
+                       std::shared_ptr<const SrpPhat> srp)
+    : evidence_(evidence),
+      srp_(std::move(srp)),
+      beam_(layout, speed_of_sound_mps, mic_in_array_m),
+      cells_(srp_->grid(), beam_.resolution_rad() / kCellsPerResolution),
+      centres_(beam_.Prepare(Pick(srp_->grid(), cells_.centres()))),
+      members_(beam_.Prepare(Pick(srp_->grid(), cells_.members()))) {}
+
+double PeakFinder::ResidualAt(const AudioScan& scan, std::span<const Removed> removed,
+                              const Eigen::Vector3d& direction) const {
+  double power = srp_->PowerAt(scan, direction);
+  for (const Removed& wave : removed) {
+    power -= wave.gain * (beam_.ResponseAt(wave.source, direction) - beam_.Incoherent());
+  }
+  return power;
+}
+
+// The maximum near `start`: Newton's steps on quadratics through six directions, which come closer.
+Eigen::Vector3d PeakFinder::Climb(const AudioScan& scan, std::span<const Removed> removed,
+                                  const Eigen::Vector3d& start) const {
+  const double spacing_rad = srp_->grid().spacing_rad();
+  Eigen::Vector3d direction = start;
+  for (const double step : {0.5, 0.25, 0.1, 0.1, 0.1, 0.1}) {
+    const double step_rad = step * spacing_rad;
+    const Eigen::Vector3d east = direction.unitOrthogonal();
+    const Eigen::Vector3d north = direction.cross(east);
+    const auto power_at = [&](int e, int n) {
+      return ResidualAt(scan, removed,
+                        (direction + step_rad * (e * east + n * north)).normalized());
+    };
+    const double here = power_at(0, 0);
+    const double eastward = power_at(1, 0);
+    const double northward = power_at(0, 1);
+    const Eigen::Vector2d before(power_at(-1, 0), power_at(0, -1));
+    const Eigen::Vector2d gradient(0.5 * (eastward - before[0]), 0.5 * (northward - before[1]));
+    Eigen::Matrix2d curvature;
+    curvature(0, 0) = eastward - 2.0 * here + before[0];
+    curvature(1, 1) = northward - 2.0 * here + before[1];
+    curvature(0, 1) = curvature(1, 0) = power_at(1, 1) - eastward - northward + here;
+    if (gradient.norm() == 0.0) break;
+    const bool maximum = curvature(0, 0) < 0.0 && curvature.determinant() > 0.0;
+    Eigen::Vector2d steps =
+        maximum ? Eigen::Vector2d(-curvature.inverse() * gradient) : gradient.normalized();
+    constexpr double kMaxSteps = 1.5;
+    if (steps.norm() > kMaxSteps) steps *= kMaxSteps / steps.norm();
+    direction = (direction + step_rad * (steps[0] * east + steps[1] * north)).normalized();
+    constexpr double kDone = 0.005;  // of the spacing
+    if (step <= 0.1 && step * steps.norm() < kDone) break;
+  }
+  return direction;
+}
+
+PeakFinder::Maximum PeakFinder::Largest(const AudioScan& scan, std::span<const Removed> removed,
+                                        std::span<const float> residual, double floor,
+                                        double least_height) const {
+  const auto at_centre = std::max_element(residual.begin(), residual.end());
+  Maximum largest{*at_centre, cells_.centres()[at_centre - residual.begin()]};
+  const auto worth_a_look =
+      static_cast<float>(floor + kLeastAtCentre * std::max(*at_centre - floor, least_height));
+  std::vector<float> power;
+  for (int cell = 0; cell < cells_.size(); ++cell) {
+    if (residual[cell] < worth_a_look) continue;
+    const int begin = cells_.begin(cell);
+    const int count = cells_.begin(cell + 1) - begin;
+    const std::span<const int> members = cells_.members().subspan(begin, count);
+    power.resize(count);
+    for (int m = 0; m < count; ++m) power[m] = scan.power[members[m]];
+    for (const Removed& wave : removed) {
+      beam_.AddResponse(wave.source, static_cast<float>(-wave.gain),
+                        static_cast<float>(beam_.Incoherent()), members_, begin, power);
+    }
+    for (int m = 0; m < count; ++m) {
+      if (power[m] > largest.power) largest = {power[m], members[m]};
+    }
+  }
+  return largest;
+}
+
+PeakFinder::Background PeakFinder::BackgroundOf(std::vector<float> residual) const {
+  const auto at = [&](std::size_t rank) {
+    return residual.begin() + static_cast<std::ptrdiff_t>(rank);
+  };
+  const std::size_t middle = (residual.size() - 1) / 2;
+  std::nth_element(residual.begin(), at(middle), residual.end());
+  const double median = *at(middle);
+  const std::size_t quarter = (residual.size() - 1) / 4;
+  std::nth_element(residual.begin(), at(quarter), at(middle));
+  return {median, (median - *at(quarter)) / kQuartileInSigmas};
+}
+
+bool PeakFinder::Covers(const Eigen::Vector3d& direction) const {
+  const geometry::DirectionGrid& grid = srp_->grid();
+  const double near = std::cos(grid.spacing_rad());
+  bool covers = false;
+  cells_.VisitAround(direction, grid.spacing_rad(),
+                     [&](int i) { covers |= grid[i].dot(direction) > near; });
+  return covers;
+}
+
+Peaks PeakFinder::Find(const AudioScan& scan) const {
+  const double incoherent = beam_.Incoherent();
+  const double least_height = evidence_.threshold_incoherent_spreads * beam_.IncoherentSpread();
+  const geometry::DirectionGrid& grid = srp_->grid();
+  Peaks found;
+  std::vector<float> residual(cells_.size());  // at the centres
+  for (int cell = 0; cell < cells_.size(); ++cell) {
+    residual[cell] = scan.power[cells_.centres()[cell]];
+  }
+  Background background = BackgroundOf(residual);
+  std::vector<Removed> removed;
+  while (static_cast<int>(removed.size()) < evidence_.max_peaks) {
+    const Maximum largest = Largest(scan, removed, residual, background.floor, least_height);
+    if (!(largest.power > background.floor + least_height)) break;
+    const Eigen::Vector3d& start = grid[largest.direction];
+    Eigen::Vector3d direction = Climb(scan, removed, start);
+    const double power = std::max<double>(largest.power, ResidualAt(scan, removed, direction));
+    // What is not a plane wave has the power of incoherent noise or more. The median can lie below,
+    // among the side lobes of the peak.
+    const double gain =
+        (power - std::max(background.floor, incoherent)) / (srp_->band_bins() - incoherent);
+    beam_.AddResponse(direction, static_cast<float>(-gain), static_cast<float>(incoherent),
+                      centres_, 0, residual);
+    // The peak must stand out of what is left without it: its own side lobes are no noise.
+    const Background rest = BackgroundOf(residual);
+    if (!(power > rest.floor + std::max(evidence_.threshold_spreads * rest.spread, least_height))) {
+      break;
+    }
+    background = rest;
+    removed.push_back({direction, gain});
+    const bool moved_off = start.dot(direction) < std::cos(grid.spacing_rad());
+    if (moved_off && !Covers(direction)) continue;
+    if (beam_.array_rank() == 2) {
+      // Both images are equally true; one side is reported, so that a source does not jump between
+      // them.
+      const Eigen::Vector3d image = beam_.Distinguishable(direction);
+      if (Covers(image)) direction = image;
+    }
+    found.peaks.push_back({direction, power});
+  }
+  found.noise_floor = background.floor;
+  found.spread = background.spread;
+  std::stable_sort(found.peaks.begin(), found.peaks.end(),
+                   [](const Peak& a, const Peak& b) { return a.power > b.power; });
+  return found;
+}
+
+std::vector<float> PeakFinder::Likelihood(std::span<const Peak> peaks) const {
+  const geometry::DirectionGrid& grid = srp_->grid();
+  std::vector<float> likelihood(grid.size(), static_cast<float>(evidence_.p_rest));
+  const auto tell = [&](double radius_rad, double value) {
+    const double near = std::cos(radius_rad);
+    for (const Peak& peak : peaks) {
+      const Eigen::Vector3d image = beam_.Distinguishable(peak.direction_in_array);
+      const auto tell_one = [&](int i) {
+        if (image.dot(beam_.Distinguishable(grid[i])) >= near) {
+          likelihood[i] = static_cast<float>(value);
+        }
+      };
+      if (beam_.array_rank() == 1) {
+        for (int i = 0; i < grid.size(); ++i) tell_one(i);
+        continue;
+      }
+      cells_.VisitAround(image, radius_rad, tell_one);
+      if (beam_.array_rank() == 2) {
+        cells_.VisitAround(beam_.MirrorImage(image), radius_rad, tell_one);
+      }
+    }
+  };
+  tell(evidence_.undecided_radius_rad, evidence_.p_undecided);
+  tell(evidence_.peak_radius_rad, evidence_.p_peak);
+  return likelihood;
+}
+
+}  // namespace soundmap::acoustics
