@@ -16,6 +16,7 @@
 #include "api/decode_frame.h"
 #include "api/server.h"
 #include "config.h"
+#include "metrics.h"
 #include "pipeline/operations.h"
 #include "pipeline/sites.h"
 #include "storage/store.h"
@@ -54,6 +55,7 @@ absl::Status Serve(const ServerConfig& config) {
     return found->second;
   };
   options.now_ns = NowNs;
+  const std::shared_ptr<const pipeline::Meters> meters = options.meters;
   spdlog::info("recovering from {}", config.data_dir);
   auto sites = pipeline::Sites::Open(store->get(), std::move(options));
   if (!sites.ok()) return sites.status();
@@ -70,8 +72,9 @@ absl::Status Serve(const ServerConfig& config) {
     parts.server_id = absl::StrCat(absl::Hex(NowNs()));
     auto server = api::Server::Start(config.grpc_address, config.tls, parts);
     if (!server.ok()) return server.status();
-    auto gateway = web_gateway::HttpGateway::Start(pool.get_executor(), config.http_address,
-                                                   [&ready] { return ready.load(); });
+    auto gateway = web_gateway::HttpGateway::Start(
+        pool.get_executor(), config.http_address,
+        {[&ready] { return ready.load(); }, [meters] { return MetricsText(*meters); }});
     if (!gateway.ok()) {
       (*server)->Shutdown();
       return gateway.status();

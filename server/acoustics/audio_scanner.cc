@@ -148,16 +148,20 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
 
   const PhatSpectra& spectra = stft_.Analyze(
       {samples, static_cast<std::size_t>(layout_.scan_samples()) * tables_->srp->microphones()});
+  Done(Step::kSpectra);
   tables_->srp->Scan(spectra, scan_);
+  Done(Step::kPower);
   const AudioScan& scan = scan_;
   if (const auto* thresholds = std::get_if<DoubleThreshold>(&tables_->config.evidence)) {
     result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
+    Done(Step::kEvidence);
     return result;
   }
   Peaks found = tables_->finder->Find(scan);
   result.likelihood = tables_->finder->Likelihood(found.peaks);
   result.noise_floor = found.noise_floor;
   result.peaks = std::move(found.peaks);
+  Done(Step::kEvidence);
   return result;
 }
 

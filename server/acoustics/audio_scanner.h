@@ -1,9 +1,11 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -48,6 +50,11 @@ class AudioScanner {
   // 1970 .. 2116.
   absl::StatusOr<std::vector<LikelihoodScan>> Push(const frames::AudioBlock& block);
 
+  // Of the work on one scan, in their order.
+  enum class Step { kSpectra, kPower, kEvidence };
+  // Calls `done` at the end of each step, for those who measure.
+  void WatchSteps(std::function<void(Step)> done) { step_done_ = std::move(done); }
+
   State state() const;
   // InvalidArgument, and no change: a state that no scanner with this configuration can have had.
   absl::Status Restore(State state);
@@ -66,6 +73,9 @@ class AudioScanner {
   explicit AudioScanner(std::shared_ptr<const Tables> tables);
   LikelihoodScan Scan(const std::int16_t* samples, std::int64_t first_sample);
   std::string FaultIn(const std::int16_t* samples) const;
+  void Done(Step step) const {
+    if (step_done_) step_done_(step);
+  }
 
   std::shared_ptr<const Tables> tables_;
   FrameLayout layout_;
@@ -75,6 +85,7 @@ class AudioScanner {
   frames::TimeNs last_stamp_ns_ = 0;
   std::int64_t next_sample_ = 0;
   std::vector<std::int16_t> pending_;
+  std::function<void(Step)> step_done_;
 };
 
 }  // namespace soundmap::acoustics

@@ -105,8 +105,15 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
     switch (request_.message_case()) {
       case v1::IngestRequest::kOpen:
         return HandleOpen(request_.open());
-      case v1::IngestRequest::kChunk:
-        return HandleChunk(*request_.mutable_chunk());
+      case v1::IngestRequest::kChunk: {
+        pipeline::Meters& meters = service_->sites_->meters();
+        pipeline::StageClock clock(&meters.stages);
+        clock.Start();
+        meters.received_bytes += static_cast<std::int64_t>(request_.ByteSizeLong());
+        const absl::Status handled = HandleChunk(*request_.mutable_chunk());
+        clock.Stop(pipeline::Stage::kReceive);
+        return handled;
+      }
       case v1::IngestRequest::kFinish:
         if (!session_) return absl::FailedPreconditionError("the first message must be `open`");
         {

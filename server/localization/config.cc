@@ -26,7 +26,7 @@ absl::Status Config::Validate() const {
       {"tempering", tempering, 1e-6, 1},
       {"resample_below", resample_below, 0, 1},
       {"min_range_m", min_range_m, 0, 10},
-      {"laser_lag_s", laser_lag_s, -1, 1},
+      {"laser_lag_s", laser_lag_s.value_or(0.0), -1, 1},
       {"unknown_gap_m", unknown_gap_m, 0, 10},
       {"max_speed_mps", max_speed_mps, 0.01, 1000},
       {"max_turn_rate_radps", max_turn_rate_radps, 0.01, 1000},
@@ -128,6 +128,7 @@ Config PaperConfig() {
   Config config;
   config.refinement.enabled = false;
   config.search.enabled = false;
+  config.laser_lag_s = 0.0;
   return config;
 }
 

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <optional>
+
 #include "absl/status/status.h"
 #include "geometry/angles.h"
 
@@ -122,9 +124,11 @@ struct Config {
       0.3;  // exponent of a scan's likelihood: neighbouring beams are not independent
   double resample_below = 0.5;  // N_eff as a share of the particles
   double min_range_m = 0.05;    // a shorter reading is no return
-  double laser_lag_s = 0.0;     // the scan stamped t was taken at t - lag on the odometry's clock
-  double unknown_gap_m = 0.3;   // narrower patches of unknown cells are transparent, see BeamCaster
-  double max_speed_mps = 5.0;   // faster odometry is a jump, not a motion
+  // The scan stamped t was taken at t - lag on the odometry's clock; none: told from the turns of
+  // the first metres, 0 until then.
+  std::optional<double> laser_lag_s;
+  double unknown_gap_m = 0.3;  // narrower patches of unknown cells are transparent, see BeamCaster
+  double max_speed_mps = 5.0;  // faster odometry is a jump, not a motion
   double max_turn_rate_radps = 8.0;
   double jump_position_std_m = 0.2;  // spread added to the particles after a jump
   double jump_yaw_std_rad = geometry::RadFromDeg(10.0);

@@ -16,6 +16,14 @@ constexpr double kHistory_s = 30.0;
 constexpr double kJumpTolerance_m = 0.2;
 constexpr double kJumpTolerance_rad = 0.2;
 
+constexpr double kMaxLag_s = 1.0;
+// Smaller changes of the laser's lag are not worth a break in the odometry's time.
+constexpr double kLagStep_s = 0.01;
+// A lag known this badly is better than none, which may be a tenth of a second.
+constexpr double kMaxLagStd_s = 0.025;
+// Variances with which a scan is laid on the walls near the filter's estimate: 0.1 m, 10 degrees.
+const Eigen::Vector3d kNear(0.01, 0.01, 0.03);
+
 constexpr double kMaxLaserTilt_rad = geometry::RadFromDeg(5.0);
 constexpr std::size_t kMaxBeamsOfScan = 20'000;
 
@@ -58,6 +66,7 @@ absl::StatusOr<Localizer> Localizer::Create(std::shared_ptr<const PreparedPlan> 
   Localizer localizer(std::move(plan), calibration);
   localizer.engine_.seed(seed);
   LocalizerState& memory = localizer.memory_;
+  memory.laser_lag_s = localizer.plan_->config.laser_lag_s.value_or(0.0);
   if (!initial_pose) {
     if (!localizer.plan_->config.search.enabled) {
       return absl::FailedPreconditionError(
@@ -119,6 +128,10 @@ absl::StatusOr<Localizer> Localizer::Restore(std::shared_ptr<const PreparedPlan>
       static_cast<int>(state.waiting_scans.size()) > config.max_waiting_scans) {
     return refused;
   }
+  if (!localizer.lag_.Restore(state.lag) || !(std::abs(state.laser_lag_s) <= kMaxLag_s) ||
+      (config.laser_lag_s && *config.laser_lag_s != state.laser_lag_s)) {
+    return refused;
+  }
   for (const Correction& correction : state.corrections) localizer.history_.Add(correction);
   localizer.history_.set_odometry_limit(state.odometry_limit);
   localizer.waiting_scans_.assign(state.waiting_scans.begin(), state.waiting_scans.end());
@@ -131,6 +144,7 @@ absl::StatusOr<Localizer> Localizer::Restore(std::shared_ptr<const PreparedPlan>
   localizer.memory_.waiting_scans.clear();
   localizer.memory_.corrections.clear();
   localizer.memory_.kept_scans.clear();
+  localizer.memory_.lag = {};
   return localizer;
 }
 
@@ -145,6 +159,7 @@ LocalizerState Localizer::state() const {
   state.waiting_scans.assign(waiting_scans_.begin(), waiting_scans_.end());
   state.corrections.assign(history_.corrections().begin(), history_.corrections().end());
   state.kept_scans.assign(kept_scans_.begin(), kept_scans_.end());
+  state.lag = lag_.state();
   state.mean_fit = health_.mean_fit;
   state.slow_fit = health_.slow_fit;
   state.misfit_m = health_.misfit_m;
@@ -220,9 +235,9 @@ std::vector<PoseEstimate> Localizer::Drain() {
   const frames::OdometryTrack& track = history_.track();
   if (track.empty()) return corrections;
   while (!waiting_scans_.empty()) {
+    TakeUpLag();
     const frames::LaserScan& scan = waiting_scans_.front();
-    const frames::TimeNs first_beam_ns =
-        scan.stamp_ns - frames::NsFromSeconds(plan_->config.laser_lag_s);
+    const frames::TimeNs first_beam_ns = scan.stamp_ns - frames::NsFromSeconds(memory_.laser_lag_s);
     const frames::TimeNs last_beam_ns =
         first_beam_ns + frames::NsFromSeconds(static_cast<double>(scan.range_m.size()) *
                                               calibration_.laser_time_increment_s);
@@ -242,23 +257,31 @@ std::vector<PoseEstimate> Localizer::Drain() {
 std::optional<PoseEstimate> Localizer::Consider(const frames::LaserScan& scan) {
   const Config& config = plan_->config;
   const frames::TimeNs time_ns =
-      MiddleOf(scan, calibration_.laser_time_increment_s, config.laser_lag_s);
+      MiddleOf(scan, calibration_.laser_time_increment_s, memory_.laser_lag_s);
+  if (!kept_scans_.empty() && time_ns <= kept_scans_.back().stamp_ns) {
+    ++memory_.counters.scans_ignored;  // the lag has grown since
+    return std::nullopt;
+  }
   const geometry::Pose2 odom_from_base = *history_.track().At(time_ns);
   const geometry::Pose2 moved = memory_.odom_from_particles->Inverse() * odom_from_base;
   const bool due = kept_scans_.empty() || memory_.jumped ||
                    std::hypot(moved.x_m, moved.y_m) >= config.correction_distance_m ||
                    std::abs(moved.yaw_rad) >= config.correction_turn_rad;
+  const frames::TimeNs considered_ns =
+      std::max(memory_.considered_until_ns.value_or(time_ns), time_ns);
   if (!due) {
-    memory_.considered_until_ns = time_ns;
+    memory_.considered_until_ns = considered_ns;
     return std::nullopt;
   }
   const auto beams =
-      ValidBeams(scan, calibration_, config.laser_lag_s, config.min_range_m, history_.track());
+      ValidBeams(scan, calibration_, memory_.laser_lag_s, config.min_range_m, history_.track());
   if (!beams || static_cast<int>(beams->size()) < config.min_beams) {
     ++memory_.counters.scans_empty;
     return std::nullopt;
   }
-  memory_.considered_until_ns = time_ns;
+  memory_.considered_until_ns = considered_ns;
+  const bool jumped = memory_.jumped;
+  const std::int64_t recoveries = memory_.counters.recoveries;
   Keep({time_ns, odom_from_base, Subsample(*beams, config.beams), memory_.jumped});
   const std::vector<Beam> fit_beams = Subsample(*beams, kMaxBeamsOfFit);
   const KeptScan& kept = kept_scans_.back();
@@ -273,6 +296,11 @@ std::optional<PoseEstimate> Localizer::Consider(const frames::LaserScan& scan) {
   memory_.odom_from_particles = odom_from_base;
   memory_.jumped = false;
   memory_.travelled_m = 0.0;
+  if (estimate && !memory_.particles.empty() && !config.laser_lag_s) {
+    LearnLag(fit_beams, *estimate,
+             !jumped && recoveries == memory_.counters.recoveries &&
+                 estimate->scan_fit >= config.health.lost_fit);
+  }
   if (estimate && memory_.look_back) ContinueLookBack(config.search.look_back_scans);
   return estimate;
 }
@@ -304,6 +332,31 @@ PoseEstimate Localizer::Correct(const KeptScan& scan, const std::vector<Beam>& b
   }
   ++memory_.counters.corrections;
   return estimate;
+}
+
+// `follows`: the robot has kept its place since the correction before.
+void Localizer::LearnLag(const std::vector<Beam>& beams, const PoseEstimate& estimate,
+                         bool follows) {
+  // By the walls alone: the filter's heading follows the odometry at the lag in use.
+  const auto matched = plan_->matcher.Match(beams, {estimate.map_from_base, kNear.asDiagonal()});
+  if (!follows || !matched) lag_.Break();
+  if (matched) {
+    lag_.Add(estimate.stamp_ns + frames::NsFromSeconds(memory_.laser_lag_s), matched->mean.yaw_rad);
+  }
+  lag_.Follow(history_.track());
+}
+
+void Localizer::TakeUpLag() {
+  if (plan_->config.laser_lag_s || kept_scans_.empty()) return;
+  const std::optional<double> lag_s = lag_.lag_s(kMaxLagStd_s);
+  if (!lag_s || std::abs(*lag_s - memory_.laser_lag_s) < kLagStep_s) return;
+  // The particles are where the robot was at another time of the odometry than was thought.
+  const auto odom_from_base =
+      history_.track().At(kept_scans_.back().stamp_ns + frames::NsFromSeconds(memory_.laser_lag_s) -
+                          frames::NsFromSeconds(*lag_s));
+  if (!odom_from_base) return;
+  memory_.odom_from_particles = *odom_from_base;
+  memory_.laser_lag_s = *lag_s;
 }
 
 State Localizer::Judge(const PoseEstimate& estimate, double travelled_m) const {

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "frames/laser_lag.h"
 #include "localization/config.h"
 #include "localization/health.h"
 #include "localization/hypotheses.h"
@@ -60,6 +61,8 @@ struct LocalizerState {
   double misfit_m = 0.0;
   bool misfit = false;
   Counters counters;
+  double laser_lag_s = 0.0;  // in use
+  frames::LaserLag::State lag;
 
   double slow_fit = 0.0;
   std::uint64_t odometry_limit = 0;             // see PoseHistory
@@ -138,6 +141,10 @@ class Localizer {
   // odometry. Kept within the bounds of SearchConfig::max_kept_scans.
   void KeepFrom(frames::TimeNs time_ns) { memory_.keep_from_ns = time_ns; }
 
+  // By how much the stamps of the scans are later than those of the odometry: in use for the newest
+  // scan. Estimates have the odometry's time.
+  double laser_lag_s() const { return memory_.laser_lag_s; }
+
   const Counters& counters() const { return memory_.counters; }
   const std::vector<Particle>& particles() const { return memory_.particles; }
   LocalizerState state() const;
@@ -149,6 +156,8 @@ class Localizer {
   std::optional<PoseEstimate> Consider(const frames::LaserScan& scan);
   PoseEstimate Correct(const KeptScan& scan, const std::vector<Beam>& beams,
                        const geometry::Pose2& moved);
+  void LearnLag(const std::vector<Beam>& beams, const PoseEstimate& estimate, bool follows);
+  void TakeUpLag();
   State Judge(const PoseEstimate& estimate, double travelled_m) const;
   void Forget();
 
@@ -172,6 +181,7 @@ class Localizer {
   PoseHistory history_;
   std::deque<KeptScan> kept_scans_;
   Health health_;
+  frames::LaserLag lag_;
   LocalizerState memory_;  // what the members above hold is empty in it
 };
 

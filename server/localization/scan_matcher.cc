@@ -76,6 +76,7 @@ ScanMatcher::ScanMatcher(const RefinementConfig& config, const building::FloorPl
       width_(plan.width()),
       height_(plan.height()),
       cell_size_m_(plan.cell_size_m()),
+      cells_per_m_(1.0 / plan.cell_size_m()),
       origin_in_map_m_(plan.origin_in_map_m()),
       nearest_piece_(static_cast<std::size_t>(plan.width()) * plan.height(), -1) {
   const auto index = [this](int x, int y) { return static_cast<std::size_t>(y) * width_ + x; };
@@ -144,7 +145,7 @@ ScanMatcher::ScanMatcher(const RefinementConfig& config, const building::FloorPl
 }
 
 const ScanMatcher::WallPiece* ScanMatcher::Nearest(const Eigen::Vector2d& point_in_map_m) const {
-  const Eigen::Vector2d cell = (point_in_map_m - origin_in_map_m_) / cell_size_m_;
+  const Eigen::Vector2d cell = (point_in_map_m - origin_in_map_m_) * cells_per_m_;
   if (!(cell.x() >= 0.0 && cell.y() >= 0.0 && cell.x() < width_ && cell.y() < height_)) {
     return nullptr;
   }
@@ -162,6 +163,11 @@ std::optional<Distribution> ScanMatcher::Match(const std::vector<Beam>& beams,
   const double beam_information =
       1.0 / (config_.beam_correlation * config_.range_std_m * config_.range_std_m);
 
+  std::vector<Eigen::Vector2d> ends_in_base_m;
+  ends_in_base_m.reserve(beams.size());
+  for (const Beam& beam : beams) {
+    ends_in_base_m.push_back(beam.origin_in_base_m + beam.range_m * beam.direction_in_base);
+  }
   geometry::Pose2 pose = prior.mean;
   Eigen::Matrix3d information = prior_information;
   for (int iteration = 0; iteration < config_.max_iterations; ++iteration) {
@@ -172,12 +178,11 @@ std::optional<Distribution> ScanMatcher::Match(const std::vector<Beam>& beams,
         std::max(0.4 * config_.gate_m, config_.gate_m * std::pow(0.8, iteration));
     const Eigen::Vector3d from_prior(pose.x_m - prior.mean.x_m, pose.y_m - prior.mean.y_m,
                                      geometry::NormalizeAngle(pose.yaw_rad - prior.mean.yaw_rad));
-    information = prior_information;
-    Eigen::Vector3d gradient = prior_information * from_prior;
+    // The upper triangle and the gradient, number by number: they stay in registers.
+    double xx = 0.0, xy = 0.0, xt = 0.0, yy = 0.0, yt = 0.0, tt = 0.0;
+    double gx = 0.0, gy = 0.0, gt = 0.0;
     int used = 0;
-    for (const Beam& beam : beams) {
-      const Eigen::Vector2d end_in_base =
-          beam.origin_in_base_m + beam.range_m * beam.direction_in_base;
+    for (const Eigen::Vector2d& end_in_base : ends_in_base_m) {
       const Eigen::Vector2d arm(c * end_in_base.x() - s * end_in_base.y(),
                                 s * end_in_base.x() + c * end_in_base.y());
       const Eigen::Vector2d end_in_map(pose.x_m + arm.x(), pose.y_m + arm.y());
@@ -187,13 +192,29 @@ std::optional<Distribution> ScanMatcher::Match(const std::vector<Beam>& beams,
       const double share = distance_m / reach_m;
       if (std::abs(share) >= 1.0) continue;
       const double root = 1.0 - share * share;
-      const double weight = root * root * beam_information;
-      const Eigen::Vector3d jacobian(piece->normal.x(), piece->normal.y(),
-                                     piece->normal.y() * arm.x() - piece->normal.x() * arm.y());
-      information += weight * jacobian * jacobian.transpose();
-      gradient += weight * distance_m * jacobian;
+      const double weight = root * root;
+      const double nx = piece->normal.x();
+      const double ny = piece->normal.y();
+      const double nt = ny * arm.x() - nx * arm.y();  // by the turn
+      const double wx = weight * nx;
+      const double wy = weight * ny;
+      const double wt = weight * nt;
+      xx += wx * nx;
+      xy += wx * ny;
+      xt += wx * nt;
+      yy += wy * ny;
+      yt += wy * nt;
+      tt += wt * nt;
+      gx += wx * distance_m;
+      gy += wy * distance_m;
+      gt += wt * distance_m;
       ++used;
     }
+    Eigen::Matrix3d of_beams;
+    of_beams << xx, xy, xt, xy, yy, yt, xt, yt, tt;
+    information = prior_information + beam_information * of_beams;
+    const Eigen::Vector3d gradient =
+        prior_information * from_prior + beam_information * Eigen::Vector3d(gx, gy, gt);
     if (used < kMinBeams || used < kMinShareOfBeams * static_cast<double>(beams.size())) {
       return std::nullopt;
     }

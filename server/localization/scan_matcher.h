@@ -36,6 +36,7 @@ class ScanMatcher {
   int width_;
   int height_;
   double cell_size_m_;
+  double cells_per_m_;
   Eigen::Vector2d origin_in_map_m_;
   std::vector<WallPiece> pieces_;
   std::vector<std::int32_t> nearest_piece_;  // by cell; -1: none within the gate

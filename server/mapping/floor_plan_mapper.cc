@@ -10,9 +10,9 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "frames/laser_lag.h"
 #include "frames/odometry_track.h"
 #include "geometry/angles.h"
-#include "mapping/laser_lag.h"
 #include "mapping/laser_lines.h"
 #include "mapping/laser_loops.h"
 #include "mapping/laser_matching.h"
@@ -75,6 +75,7 @@ constexpr double kUnregisteredVariance = 10.0;
 
 // Scans further apart do not tell when a turn began.
 constexpr TimeNs kMaxLagStep_ns = 1'000'000'000;
+constexpr double kMaxLagStd_s = 0.01;
 
 constexpr double kPlace_m = 1.0;
 
@@ -167,7 +168,7 @@ class FloorPlanMapper::Drive {
   const frames::Calibration calibration_;
   const Pose2 start_map_from_base_;
   TimeNs lag_ns_;
-  LaserLag lag_;
+  frames::LaserLag lag_;
   SurveyedPoses surveyed_;
   frames::OdometryTrack registered_;  // the path of the scans; better than the odometry
 
@@ -315,8 +316,9 @@ void FloorPlanMapper::Drive::Process(const WaitingScan& waiting) {
   if (!config_.laser_lag_s) {
     const bool follows = !path_.empty() && unregistered_in_a_row_ == 0 &&
                          entry.stamp_ns - path_.back().stamp_ns <= kMaxLagStep_ns;
-    lag_.Add(entry.stamp_ns, entry.map_from_base.yaw_rad, follows);
-    if (const auto lag_s = lag_.lag_s()) lag_ns_ = frames::NsFromSeconds(*lag_s);
+    if (!follows) lag_.Break();
+    lag_.Add(entry.stamp_ns, entry.map_from_base.yaw_rad);
+    if (const auto lag_s = lag_.lag_s(kMaxLagStd_s)) lag_ns_ = frames::NsFromSeconds(*lag_s);
   }
   path_.push_back(entry);
   if (surveyed_.empty()) return;

@@ -81,13 +81,24 @@ void serialize(Archive& archive, std::optional<Value>& optional, unsigned) {
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::frames::LaserLag::Turn& turn, unsigned) {
+  archive& turn.begin_ns& turn.end_ns& turn.turn_rad;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::frames::LaserLag::State& lag, unsigned) {
+  archive& lag.last& lag.waiting& lag.squared_error& lag.turns& lag.turned_rad;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::localization::LocalizerState& state, unsigned) {
   archive& state.particles& state.engine& state.odometry& state.raw_odometry& state
       .waiting_scans& state.corrections& state.newest_scan_ns& state.considered_until_ns& state
       .odom_from_particles& state.mean_fit& state.slow_fit& state.misfit_m& state.misfit& state
       .travelled_m& state.jumped& state.counters& state.odometry_limit& state.keep_from_ns& state
       .lost_since_ns& state.searching& state.search_from_ns& state.sectors_searched& state
-      .unrivalled& state.since_sector_m& state.hypotheses& state.kept_scans& state.look_back;
+      .unrivalled& state.since_sector_m& state.hypotheses& state.kept_scans& state.look_back& state
+      .laser_lag_s& state.lag;
 }
 
 template <class Archive>
@@ -120,6 +131,7 @@ frames::TimeNs MiddleOf(const frames::LidarScan& scan) {
 
 struct Listening::State {
   const Profile& profile;
+  StageClock* const clock;
   const frames::Calibration calibration;
   std::shared_ptr<const localization::PreparedPlan> plan;
   localization::Localizer localizer;
@@ -139,10 +151,13 @@ struct Listening::State {
 
   template <typename SensorFrame>
   void Localize(const SensorFrame& frame, Output& output);
+  void Lap(Stage stage) {
+    if (clock != nullptr) clock->Lap(stage);
+  }
 
   void Hear(const frames::Odometry& odometry);
   void Hear(const frames::LaserScan&) {}
-  void Hear(const frames::LidarScan& scan);
+  void Hear(frames::LidarScan&& scan);
   void Hear(const frames::AudioBlock& block);
 
   // Whether nothing that may still be heard changes what the scan is given.
@@ -160,18 +175,26 @@ Listening::~Listening() = default;
 absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
     const Profile& profile, const frames::Calibration& calibration,
     std::shared_ptr<const localization::PreparedPlan> plan,
-    const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed) {
+    const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed, StageClock* clock) {
   std::optional<localization::InitialPose> start;
   if (initial_pose) start = localization::InitialPose{*initial_pose};
   auto localizer = localization::Localizer::Create(plan, calibration, start, seed);
   if (!localizer.ok()) return localizer.status();
-  std::unique_ptr<State> state(new State{profile, calibration, std::move(plan),
+  std::unique_ptr<State> state(new State{profile, clock, calibration, std::move(plan),
                                          *std::move(localizer), nullptr, std::nullopt,
                                          frames::OdometryTrack()});
   if (!calibration.mic_in_array_m.empty() && calibration.audio_sample_rate_hz != 0) {
     auto scanner = acoustics::AudioScanner::Create(profile.acoustics, calibration);
     if (!scanner.ok()) return scanner.status();
     state->scanner = *std::move(scanner);
+    if (clock != nullptr) {
+      state->scanner->WatchSteps([clock](acoustics::AudioScanner::Step step) {
+        using Step = acoustics::AudioScanner::Step;
+        clock->Lap(step == Step::kSpectra ? Stage::kSpectra
+                   : step == Step::kPower ? Stage::kPower
+                                          : Stage::kEvidence);
+      });
+    }
     auto caster = ray_casting::RayCaster::Create(profile.ray_casting, state->scanner->grid(),
                                                  calibration.base_from_array);
     if (!caster.ok()) return caster.status();
@@ -181,11 +204,13 @@ absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
 }
 
 void Listening::Localize(const frames::Frame& frame, Output& output) {
+  state_->Lap(Stage::kSession);
   std::visit([&](const auto& sensor_frame) { state_->Localize(sensor_frame, output); }, frame);
+  state_->Lap(Stage::kLocalize);
 }
 
-void Listening::Hear(const frames::Frame& frame, Output& output) {
-  std::visit([&](const auto& sensor_frame) { state_->Hear(sensor_frame); }, frame);
+void Listening::Hear(frames::Frame&& frame, Output& output) {
+  std::visit([&](auto& sensor_frame) { state_->Hear(std::move(sensor_frame)); }, frame);
   ++state_->heard;
   state_->Drain(/*all=*/false, output);
 }
@@ -224,16 +249,17 @@ void Listening::State::Hear(const frames::Odometry& odometry) {
   if (!track.Add(odometry)) ++counters.backward_odometry;
 }
 
-void Listening::State::Hear(const frames::LidarScan& scan) {
+void Listening::State::Hear(frames::LidarScan&& scan) {
   if (!caster) return;
   if (!lidar_scans.empty() && scan.stamp_ns <= lidar_scans.back().stamp_ns) {
     ++counters.backward_lidar;
     return;
   }
-  lidar_scans.push_back(scan);
+  const frames::TimeNs stamp_ns = scan.stamp_ns;
+  lidar_scans.push_back(std::move(scan));
   // The oldest pending scan may still want the one before the newest that is not after it.
   const frames::TimeNs oldest_ns =
-      pending_scans.empty() ? scan.stamp_ns : pending_scans.front().mid_ns();
+      pending_scans.empty() ? stamp_ns : pending_scans.front().mid_ns();
   const frames::TimeNs keep_ns =
       oldest_ns - 2 * frames::NsFromSeconds(profile.ray_casting.max_lidar_age_s);
   while (lidar_scans.size() > kMaxLidarScans ||
@@ -336,6 +362,7 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
     ++counters.scans_without_pose;
     return;
   }
+  Lap(Stage::kSession);
   const auto odom_from_audio_base = track.At(mid_ns);
   if (!odom_from_audio_base || !View(mid_ns)) {
     ++counters.scans_without_range;
@@ -352,6 +379,7 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   view.reference_base_from_audio_base =
       (odom_from_reference_base->Inverse() * *odom_from_audio_base).ToIsometry();
   auto evidence = caster->Cast(scan, view, *pose);
+  Lap(Stage::kCast);
   if (!evidence.ok() || evidence->end_points.empty()) {
     ++counters.scans_without_range;
     return;

@@ -11,6 +11,7 @@
 #include "frames/odometry_track.h"
 #include "localization/localizer.h"
 #include "pipeline/profile.h"
+#include "pipeline/stage_times.h"
 #include "ray_casting/ray_caster.h"
 #include "sound_map/evidence.h"
 
@@ -48,16 +49,19 @@ class Listening {
     frames::TimeNs unheard_ns = 0;  // at the end of the drive, since the robot was lost
   };
 
-  // `profile` must outlive this.
+  // `profile` and `clock` must outlive this; the clock (null: none) is told where the stages end.
   // Without an initial pose the robot may stand anywhere in the building.
   static absl::StatusOr<std::unique_ptr<Listening>> Create(
       const Profile& profile, const frames::Calibration& calibration,
       std::shared_ptr<const localization::PreparedPlan> plan,
-      const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed);
+      const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed,
+      StageClock* clock = nullptr);
   ~Listening();
 
   void Localize(const frames::Frame& frame, Output& output);
-  void Hear(const frames::Frame& frame, Output& output);
+  // A frame given away is not copied.
+  void Hear(frames::Frame&& frame, Output& output);
+  void Hear(const frames::Frame& frame, Output& output) { Hear(frames::Frame(frame), output); }
   // Whether the next frame to hear must wait until the robot knows where it was.
   bool waits() const;
   // The frames that Hear() was given since the start of the drive.

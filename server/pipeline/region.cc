@@ -48,19 +48,28 @@ absl::Status Region::Load() {
 }
 
 std::shared_ptr<const Region::Sources> Region::sources() const {
-  const std::shared_ptr<const sound_map::Snapshot> map = snapshot();
   std::lock_guard lock(sources_mutex_);
-  if (!sources_ || sources_->revision < map->revision()) {
-    sources_ = std::make_shared<const Sources>(
-        Sources{sound_map::FindSoundSources(*map, map_->config().sources), map->revision(),
-                map->as_of_ns()});
-  }
   return sources_;
 }
 
-void Region::PublishSourceChanges() {
-  const std::shared_ptr<const Sources> now = sources();
+void Region::FindSources() {
+  std::lock_guard lock(finding_mutex_);
+  FindSourcesLocked();
+}
+
+void Region::FindSourcesLocked() {
+  const std::shared_ptr<const sound_map::Snapshot> map = snapshot();
+  if (const auto known = sources(); known && known->revision == map->revision()) return;
+  auto found = std::make_shared<const Sources>(Sources{
+      sound_map::FindSoundSources(*map, map_->config().sources), map->revision(), map->as_of_ns()});
   std::lock_guard lock(sources_mutex_);
+  sources_ = std::move(found);
+}
+
+void Region::PublishSourceChanges() {
+  std::lock_guard lock(finding_mutex_);
+  FindSourcesLocked();
+  const std::shared_ptr<const Sources> now = sources();
   const std::shared_ptr<const Sources> before = std::exchange(published_, now);
   if (!before || before->revision == now->revision) return;
   std::map<std::uint64_t, const sound_map::SoundSource*> gone;
@@ -73,7 +82,7 @@ void Region::PublishSourceChanges() {
   for (const auto& [id, source] : gone) events_.Publish(SourceRemoved{id});
 }
 
-absl::Status Region::Commit(const storage::Commit& commit) {
+absl::Status Region::Commit(const storage::Commit& commit, StageClock& clock) {
   std::vector<AudioScanInfo> scans;
   for (const storage::JournalEntry& entry : commit.journal) {
     auto scan = DecodeAudioScan(entry.summary);
@@ -82,15 +91,19 @@ absl::Status Region::Commit(const storage::Commit& commit) {
     scan->time_ns = entry.evidence.stamp_ns;
     scans.push_back(*std::move(scan));
   }
+  const auto entries = storage::Store::EncodeJournal(commit);
+  if (!entries.ok()) return entries.status();
   std::lock_guard lock(writer_mutex_);
-  const auto sequence = store_->CommitBatch(commit);
+  const auto sequence = store_->CommitBatch(commit, *entries);
   if (!sequence.ok()) return sequence.status();
   sequence_ = *sequence;
+  clock.Lap(Stage::kCommit);
   for (const storage::JournalEntry& entry : commit.journal) {
     const absl::Status applied = map_->Apply(entry.evidence);
     if (!applied.ok()) return applied;
     updates_since_checkpoint_ += static_cast<std::int64_t>(entry.evidence.end_points.size());
   }
+  clock.Lap(Stage::kMap);
   for (AudioScanInfo& scan : scans) events_.Publish(std::move(scan));
   // A checkpoint that fails is tried again after the next commit; the journal has everything.
   if (updates_since_checkpoint_ >= kCheckpointUpdates) CheckpointLocked().IgnoreError();

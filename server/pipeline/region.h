@@ -9,6 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "pipeline/events.h"
+#include "pipeline/stage_times.h"
 #include "sound_map/sound_map.h"
 #include "sound_map/sound_sources.h"
 #include "storage/store.h"
@@ -32,24 +33,29 @@ class Region {
     std::uint64_t revision = 0;
     std::optional<frames::TimeNs> as_of_ns;
   };
-  // Of the newest revision; found once per revision.
+  // As of the last FindSources(): never waits for one, however large the map.
   std::shared_ptr<const Sources> sources() const;
 
-  // All of the commit takes effect, in the store and in the map, or nothing does.
-  absl::Status Commit(const storage::Commit& commit);
+  // Brings sources() to the newest revision, if it is not there.
+  void FindSources();
+
+  // All of the commit takes effect, in the store and in the map, or nothing does. `clock` is told
+  // where the stages end.
+  absl::Status Commit(const storage::Commit& commit, StageClock& clock);
 
   // Writes the tiles that changed since the last checkpoint.
   absl::Status Checkpoint();
 
   EventRing& events() { return events_; }
 
-  // Publishes the sources that are new, gone or different since the last call.
+  // FindSources(), and publishes the sources that are new, gone or different since the last call.
   void PublishSourceChanges();
 
  private:
   Region(std::string site, storage::Store* store, std::unique_ptr<sound_map::SoundMap> map)
       : site_(std::move(site)), store_(store), map_(std::move(map)) {}
   absl::Status Load();
+  void FindSourcesLocked();
   absl::Status CheckpointLocked();
 
   const std::string site_;
@@ -61,9 +67,10 @@ class Region {
   std::uint64_t sequence_ = 0;  // guarded by writer_mutex_; last journal entry in map_
   std::int64_t updates_since_checkpoint_ = 0;  // guarded by writer_mutex_
 
+  std::mutex finding_mutex_;                  // one search at a time; taken before sources_mutex_
+  std::shared_ptr<const Sources> published_;  // guarded by finding_mutex_
   mutable std::mutex sources_mutex_;
-  mutable std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_
-  std::shared_ptr<const Sources> published_;        // guarded by sources_mutex_
+  std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_; never null once open
 };
 
 }  // namespace soundmap::pipeline

@@ -6,11 +6,13 @@
 #include <boost/archive/archive_exception.hpp>
 #include <boost/archive/binary_iarchive.hpp>
 #include <boost/archive/binary_oarchive.hpp>
+#include <boost/serialization/array.hpp>
 #include <boost/serialization/deque.hpp>
 #include <boost/serialization/optional.hpp>
 #include <boost/serialization/string.hpp>
 #include <boost/serialization/vector.hpp>
 #include <sstream>
+#include <streambuf>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -67,14 +69,35 @@ void serialize(Archive& archive, soundmap::frames::LaserScan& scan, unsigned) {
 
 namespace soundmap::pipeline {
 
+// Appends to a string. A stream, its locale and the archive's codecvt cost more than a pose.
+class StringSink : public std::streambuf {
+ public:
+  explicit StringSink(std::string* out) : out_(out) {}
+
+ protected:
+  std::streamsize xsputn(const char* bytes, std::streamsize count) override {
+    out_->append(bytes, static_cast<std::size_t>(count));
+    return count;
+  }
+  int_type overflow(int_type byte) override {
+    if (byte != traits_type::eof()) out_->push_back(static_cast<char>(byte));
+    return byte;
+  }
+
+ private:
+  std::string* const out_;
+};
+
 template <typename... Parts>
 std::string ToBytes(const Parts&... parts) {
-  std::ostringstream stream(std::ios::binary);
+  std::string bytes;
+  StringSink sink(&bytes);
   {
-    boost::archive::binary_oarchive archive(stream, boost::archive::no_header);
+    boost::archive::binary_oarchive archive(sink,
+                                            boost::archive::no_header | boost::archive::no_codecvt);
     (archive << ... << parts);
   }
-  return std::move(stream).str();
+  return bytes;
 }
 
 template <typename... Parts>

@@ -35,6 +35,7 @@ Session::Session(SessionRecord record, Site site)
       robot_(record.robot),
       strand_(boost::asio::make_strand(site_.executor)),
       record_(std::move(record)),
+      clock_(site_.times),
       retry_(strand_) {
   commit_.site = record_.site;
   commit_.session = record_.session;
@@ -70,8 +71,9 @@ absl::Status Session::Recover() {
   stored_evidence_ = *heard;
 
   if (record_.purpose == Purpose::kListening) {
-    auto listening = Listening::Create(*site_.profile, record_.calibration, site_.plan,
-                                       record_.initial_pose, storage::Crc32c(record_.session));
+    auto listening =
+        Listening::Create(*site_.profile, record_.calibration, site_.plan, record_.initial_pose,
+                          storage::Crc32c(record_.session), &clock_);
     if (!listening.ok()) return listening.status();
     listening_ = *std::move(listening);
     const auto state = site_.store->LatestState(id());
@@ -104,7 +106,7 @@ absl::Status Session::Recover() {
       auto item = Decode(**message);
       if (!item.ok()) return item.status();
       ended_ = std::holds_alternative<End>(item->content);
-      Apply(*item);
+      Apply(*std::move(item));
       if (next_ % kBatchFrames != 0 && next_ != durable_) continue;
     }
     // Up to where the server was when it stopped, all is stored.
@@ -300,6 +302,7 @@ absl::StatusOr<std::int64_t> Session::NextEpoch() {
 }
 
 void Session::Process() {
+  clock_.Start();
   {
     std::lock_guard lock(mutex_);
     std::int64_t bytes = 0;
@@ -311,6 +314,7 @@ void Session::Process() {
     }
     if (stopping_ || !fault_.ok() || (batch_.empty() && !IsBehind())) {
       scheduled_ = false;
+      clock_.Stop(Stage::kSession);
       return;
     }
   }
@@ -321,12 +325,13 @@ void Session::Process() {
       fault_ = caught_up;
       scheduled_ = false;
       Wake();
+      clock_.Stop(Stage::kSession);
       return;
     }
   } else {
     // What the robot has heard comes into the map in the order of the drive: as soon as it knows
     // where it was, before it drives on.
-    for (; !batch_.empty() && !IsBehind(); batch_.pop_front()) Apply(batch_.front());
+    for (; !batch_.empty() && !IsBehind(); batch_.pop_front()) Apply(std::move(batch_.front()));
   }
   CommitAndGoOn();
 }
@@ -348,10 +353,10 @@ absl::Status Session::CatchUp() {
     const auto message = unheard_->Next();
     if (!message.ok()) return message.status();
     if (!message->has_value()) return absl::DataLossError("the session log ends early");
-    const auto item = Decode(**message);
+    auto item = Decode(**message);
     if (!item.ok()) return item.status();
     Listening::Output output;
-    listening_->Hear(std::get<frames::Frame>(item->content), output);
+    listening_->Hear(std::get<frames::Frame>(std::move(item->content)), output);
     TakeScans(heard_++, std::move(output.scans));
   }
   if (!IsBehind()) unheard_.reset();
@@ -361,6 +366,7 @@ absl::Status Session::CatchUp() {
 void Session::CommitAndGoOn() {
   absl::Status status = Commit();
   if (status.ok() && finished_) status = Complete();
+  clock_.Stop(Stage::kSession);
   if (!status.ok()) {
     {
       std::lock_guard lock(mutex_);
@@ -376,7 +382,7 @@ void Session::CommitAndGoOn() {
   boost::asio::post(strand_, [self = shared_from_this()] { self->Process(); });
 }
 
-void Session::Apply(const Item& item) {
+void Session::Apply(Item item) {
   const std::int64_t offset = next_++;
   batch_bytes_ += item.payload_bytes;
   if (batch_first_ns_ == 0) batch_first_ns_ = item.log_time_ns;
@@ -388,10 +394,10 @@ void Session::Apply(const Item& item) {
   }
 
   Listening::Output output;
-  if (const auto* frame = std::get_if<frames::Frame>(&item.content)) {
+  if (auto* frame = std::get_if<frames::Frame>(&item.content)) {
     listening_->Localize(*frame, output);
     if (heard_ == offset && !listening_->waits()) {
-      listening_->Hear(*frame, output);
+      listening_->Hear(std::move(*frame), output);
       heard_ = next_;
     }
   } else {
@@ -430,10 +436,13 @@ absl::Status Session::Commit() {
     commit_.heard_offset = heard_;
     if (snapshot_ns_ == 0) snapshot_ns_ = batch_last_ns_;
     if (listening_ && !finished_ && batch_last_ns_ - snapshot_ns_ >= kSnapshotInterval_ns) {
+      clock_.Lap(Stage::kSession);
       commit_.state = storage::StateSnapshot{next_, listening_->SaveState()};
+      clock_.Lap(Stage::kState);
       snapshot_ns_ = batch_last_ns_;
     }
-    const absl::Status committed = site_.region->Commit(commit_);
+    clock_.Lap(Stage::kSession);
+    const absl::Status committed = site_.region->Commit(commit_, clock_);
     if (!committed.ok()) {
       commit_.processed_offset = -1;  // to be tried again
       return committed;
@@ -457,6 +466,9 @@ absl::Status Session::Commit() {
 }
 
 absl::Status Session::Complete() {
+  // Who knows that a drive is processed also finds its sources.
+  site_.region->FindSources();
+  clock_.Lap(Stage::kSources);
   std::unique_lock lock(mutex_);
   if (record_.complete) return absl::OkStatus();
   SessionRecord record = record_;

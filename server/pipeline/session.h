@@ -18,6 +18,7 @@
 #include "pipeline/profile.h"
 #include "pipeline/records.h"
 #include "pipeline/region.h"
+#include "pipeline/stage_times.h"
 #include "storage/store.h"
 
 namespace soundmap::pipeline {
@@ -45,6 +46,7 @@ class Session : public std::enable_shared_from_this<Session> {
     std::shared_ptr<const localization::PreparedPlan> plan;  // null while mapping
     FrameDecoder decode;
     boost::asio::any_io_executor executor;
+    StageTimes* times = nullptr;  // null: not measured
   };
 
   // Opens the log and brings the pipeline to where it was: the last state snapshot, then the frames
@@ -110,7 +112,7 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // On the strand, or before it runs.
   void Process();
-  void Apply(const Item& item);
+  void Apply(Item item);
   // Whether frames wait to be heard that can be heard now.
   bool IsBehind() const;
   // Reads some of them from the log and hears them.
@@ -144,6 +146,7 @@ class Session : public std::enable_shared_from_this<Session> {
   bool stopping_ = false;
 
   // Strand-owned.
+  StageClock clock_;
   std::unique_ptr<Listening> listening_;  // null while mapping
   std::deque<Item> batch_;                // durable, to be processed next
   std::int64_t heard_ = 0;                // the next frame to hear: what a lost robot heard waits

@@ -22,21 +22,23 @@ std::string BuildingKey(const std::string& site, std::int64_t version) {
 }  // namespace
 
 Site::Site(SiteRecord record, Profile profile, storage::Store* store, Session::FrameDecoder decode,
-           boost::asio::any_io_executor executor)
+           boost::asio::any_io_executor executor, StageTimes* times)
     : profile_(std::move(profile)),
       store_(store),
       decode_(std::move(decode)),
       executor_(std::move(executor)),
+      times_(times),
       record_(std::move(record)) {}
 
 absl::StatusOr<std::shared_ptr<Site>> Site::Open(SiteRecord record, storage::Store* store,
                                                  Session::FrameDecoder decode,
-                                                 boost::asio::any_io_executor executor) {
+                                                 boost::asio::any_io_executor executor,
+                                                 StageTimes* times) {
   auto profile = ProfileFromToml(record.parameters_toml);
   if (!profile.ok()) return profile.status();
   const std::string name = record.site;
   std::shared_ptr<Site> site(new Site(std::move(record), *std::move(profile), store,
-                                      std::move(decode), std::move(executor)));
+                                      std::move(decode), std::move(executor), times));
   auto region = Region::Open(name, store, site->profile_.sound_map);
   if (!region.ok()) return region.status();
   site->region_ = *std::move(region);
@@ -54,6 +56,7 @@ absl::StatusOr<std::shared_ptr<Site>> Site::Open(SiteRecord record, storage::Sto
     if (!session.ok()) return session.status();
     site->sessions_[(*session)->record().session] = *session;
   }
+  site->region_->FindSources();  // the sessions may have brought evidence
   return site;
 }
 
@@ -82,7 +85,7 @@ absl::StatusOr<std::shared_ptr<const localization::PreparedPlan>> Site::PlanOf(
 }
 
 absl::StatusOr<std::shared_ptr<Session>> Site::OpenSession(SessionRecord record) {
-  Session::Site parts{store_, region_.get(), &profile_, nullptr, decode_, executor_};
+  Session::Site parts{store_, region_.get(), &profile_, nullptr, decode_, executor_, times_};
   if (record.purpose == Purpose::kListening && !record.complete) {
     auto plan = PlanOf(record.building_version);
     if (!plan.ok()) return plan.status();

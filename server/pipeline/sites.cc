@@ -25,7 +25,10 @@ void Sites::WatchSources() {
   source_timer_.expires_after(kSourceInterval);
   source_timer_.async_wait([this](boost::system::error_code cancelled) {
     if (cancelled) return;
+    StageClock clock(&meters().stages);
+    clock.Start();
     for (const std::shared_ptr<Site>& site : List()) site->region().PublishSourceChanges();
+    clock.Stop(Stage::kSources);
     WatchSources();
   });
 }
@@ -38,7 +41,7 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
     auto site_record = SiteRecordFromJson(record.bytes);
     if (!site_record.ok()) return site_record.status();
     auto site = Site::Open(*std::move(site_record), store, sites->options_.decode,
-                           sites->options_.executor);
+                           sites->options_.executor, &sites->meters().stages);
     if (!site.ok()) {
       return absl::Status(
           site.status().code(),
@@ -46,6 +49,10 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
     }
     sites->sites_[record.key] = *std::move(site);
   }
+  storage::GroupCommitOptions commit_options;
+  commit_options.on_sync = [meters = sites->options_.meters](std::chrono::nanoseconds cpu_time) {
+    meters->stages.Add(Stage::kLog, cpu_time);
+  };
   sites->group_commit_ = std::make_unique<storage::GroupCommit>(
       sites->options_.executor, store,
       [sites = sites.get()](const storage::SessionId& id,
@@ -53,7 +60,8 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
         const auto site = sites->Get(id.site);
         if (!site.ok()) return;
         if (const auto session = (*site)->FindSession(id.session)) session->OnDurable(durable);
-      });
+      },
+      commit_options);
   boost::asio::post(sites->timer_strand_, [sites = sites.get()] { sites->WatchSources(); });
   return sites;
 }
@@ -82,7 +90,8 @@ absl::StatusOr<std::shared_ptr<Site>> Sites::Create(const std::string& name,
   record.create_request_id = request_id;
   const absl::Status stored = store_->PutRecord(storage::Table::kSite, name, ToJson(record));
   if (!stored.ok()) return stored;
-  auto site = Site::Open(std::move(record), store_, options_.decode, options_.executor);
+  auto site =
+      Site::Open(std::move(record), store_, options_.decode, options_.executor, &meters().stages);
   if (!site.ok()) return site.status();
   sites_[name] = *site;
   return site;
@@ -127,7 +136,7 @@ absl::Status Sites::Delete(const std::string& name) {
 }
 
 void Sites::Stop() {
-  group_commit_.reset();
+  if (group_commit_) group_commit_->Stop();
   std::promise<void> timer_stopped;
   boost::asio::post(timer_strand_, [this, &timer_stopped] {
     source_timer_.cancel();

@@ -12,6 +12,7 @@
 
 #include "absl/status/statusor.h"
 #include "pipeline/site.h"
+#include "pipeline/stage_times.h"
 #include "storage/group_commit.h"
 #include "storage/store.h"
 
@@ -26,6 +27,7 @@ class Sites {
     // The parameters that a new site gets, by the profile's name.
     std::function<absl::StatusOr<Profile>(const std::string& name)> profile;
     std::function<std::int64_t()> now_ns;
+    std::shared_ptr<Meters> meters = std::make_shared<Meters>();
   };
 
   // Opens every site that the store knows and brings its sessions to where they were. `store`
@@ -42,6 +44,9 @@ class Sites {
   std::vector<std::shared_ptr<Site>> List() const;  // by name
   // With its map, sessions and recordings. FailedPrecondition: a robot is streaming to it.
   absl::Status Delete(const std::string& site);
+
+  // Of all sites; others add what they do for robots.
+  Meters& meters() { return *options_.meters; }
 
   // Nothing more is processed; what is in the logs is processed after the next Open(). Idempotent.
   // Not on the executor's own threads.

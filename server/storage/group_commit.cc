@@ -5,11 +5,21 @@
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <condition_variable>
+#include <ctime>
 #include <map>
 #include <mutex>
 #include <utility>
 
 namespace soundmap::storage {
+namespace {
+
+std::chrono::nanoseconds ThreadCpuTime() {
+  timespec time = {};
+  ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+  return std::chrono::seconds(time.tv_sec) + std::chrono::nanoseconds(time.tv_nsec);
+}
+
+}  // namespace
 
 struct GroupCommit::State : std::enable_shared_from_this<State> {
   State(boost::asio::any_io_executor executor_in, Store* store_in, OnDurable on_durable_in,
@@ -87,7 +97,9 @@ void GroupCommit::State::Tick() {
 }
 
 void GroupCommit::State::SyncOne(const SessionId& id, SessionLog* log) {
+  const std::chrono::nanoseconds begin = ThreadCpuTime();
   const absl::StatusOr<std::int64_t> durable = log->Sync();
+  if (options.on_sync) options.on_sync(ThreadCpuTime() - begin);
   on_durable(id, durable);
   const std::lock_guard lock(mutex);
   if (durable.ok()) {

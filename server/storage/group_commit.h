@@ -15,6 +15,7 @@ struct GroupCommitOptions {
   std::chrono::milliseconds interval{100};
   int max_backoff_intervals =
       64;  // a log that fails is tried again after 1, 2, 4, .. this many intervals
+  std::function<void(std::chrono::nanoseconds cpu_time)> on_sync;  // for those who measure
 };
 
 // Syncs the session logs of a store that have pending frames, once an interval and as many at a

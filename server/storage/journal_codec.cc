@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -42,17 +43,18 @@ const VoxelKey& Predicted(const std::vector<EndPoint>& points, std::size_t i, st
 }
 
 // Differences are taken modulo 2^16.
-std::uint64_t ZigZagDifference(std::uint16_t value, std::uint16_t predicted) {
-  return ZigZag(static_cast<std::int16_t>(value - predicted));
+std::uint16_t ZigZagDifference(std::uint16_t value, std::uint16_t predicted) {
+  const auto difference = static_cast<std::uint16_t>(value - predicted);
+  return static_cast<std::uint16_t>((difference << 1) ^ -(difference >> 15));
 }
 
-std::uint64_t ZigZagBits(std::uint16_t value, std::uint16_t predicted) {
-  return static_cast<std::uint64_t>(std::bit_width(ZigZagDifference(value, predicted)));
+int ZigZagBits(std::uint16_t value, std::uint16_t predicted) {
+  return static_cast<int>(std::bit_width(ZigZagDifference(value, predicted)));
 }
 
 // The lag whose differences take the fewest bits, judged by a part of the end points.
 std::size_t BestLag(const std::vector<EndPoint>& points) {
-  constexpr std::size_t kSamples = 512;
+  constexpr std::size_t kSamples = 128;
   const std::size_t step = std::max<std::size_t>(1, points.size() / kSamples);
   std::size_t best = kLags[0];
   std::uint64_t best_bits = std::numeric_limits<std::uint64_t>::max();
@@ -78,27 +80,85 @@ void AppendFloat(std::uint32_t float_bits, std::string* out) {
   }
 }
 
-// The distinct likelihoods by their bits, in the order of first appearance; empty if there are too
-// many.
-std::vector<std::uint32_t> ClassesOf(const std::vector<EndPoint>& points,
-                                     std::vector<unsigned char>* class_of_point) {
-  std::vector<std::uint32_t> classes;
-  class_of_point->reserve(points.size());
-  for (const EndPoint& point : points) {
-    const auto bits = std::bit_cast<std::uint32_t>(point.likelihood);
-    // Neighbours are alike, so the search starts at the class before.
-    std::size_t found = class_of_point->empty() ? 0 : class_of_point->back();
-    if (found >= classes.size() || classes[found] != bits) {
-      found = static_cast<std::size_t>(std::find(classes.begin(), classes.end(), bits) -
-                                       classes.begin());
+// The numbers of distinct likelihoods, in the order of first appearance.
+class Classes {
+ public:
+  Classes() { slots_.fill(kNone); }
+
+  // None if there are too many.
+  std::optional<unsigned char> NumberOf(std::uint32_t float_bits) {
+    std::size_t slot = (float_bits * 2654435761u) >> (32 - kSlotBits);
+    for (; slots_[slot] != kNone; slot = (slot + 1) % kSlots) {
+      if (values_[slots_[slot]] == float_bits) return static_cast<unsigned char>(slots_[slot]);
     }
-    if (found == classes.size()) {
-      if (classes.size() == kMaxClasses) return {};
-      classes.push_back(bits);
-    }
-    class_of_point->push_back(static_cast<unsigned char>(found));
+    if (values_.size() == kMaxClasses) return std::nullopt;
+    slots_[slot] = static_cast<std::uint16_t>(values_.size());
+    values_.push_back(float_bits);
+    return static_cast<unsigned char>(slots_[slot]);
   }
-  return classes;
+
+  const std::vector<std::uint32_t>& values() const { return values_; }
+
+ private:
+  static constexpr int kSlotBits = 10;
+  static constexpr std::size_t kSlots = 1 << kSlotBits;  // more than kMaxClasses: one is free
+  static constexpr std::uint16_t kNone = 0xffff;
+  std::array<std::uint16_t, kSlots> slots_;
+  std::vector<std::uint32_t> values_;
+};
+
+// The likelihoods, as classes or as floats.
+void AppendLikelihoods(const std::vector<EndPoint>& points, std::string* block) {
+  Classes classes;
+  std::string class_of_point(points.size(), '\0');
+  std::uint32_t last_bits = 0;
+  unsigned char last = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const auto bits = std::bit_cast<std::uint32_t>(points[i].likelihood);
+    if (i == 0 || bits != last_bits) {  // neighbours are alike
+      const auto number = classes.NumberOf(bits);
+      if (!number) {
+        AppendVarint(0, block);
+        for (const EndPoint& point : points) {
+          AppendFloat(std::bit_cast<std::uint32_t>(point.likelihood), block);
+        }
+        return;
+      }
+      last = *number;
+      last_bits = bits;
+    }
+    class_of_point[i] = static_cast<char>(last);
+  }
+  AppendVarint(classes.values().size(), block);
+  for (const std::uint32_t bits : classes.values()) AppendFloat(bits, block);
+  *block += class_of_point;
+}
+
+// Each number as a varint; `out` has 3 bytes a number. Returns the end of what was written.
+char* WriteVarints(const std::vector<std::uint16_t>& numbers, char* out) {
+  constexpr std::size_t kGroup = 16;
+  const std::size_t count = numbers.size();
+  std::size_t i = 0;
+  while (i < count) {
+    if (i + kGroup <= count) {
+      // Most are below 128, a whole group at once.
+      std::uint16_t any = 0;
+      for (std::size_t j = 0; j < kGroup; ++j) any |= numbers[i + j];
+      if (any < 0x80) {
+        for (std::size_t j = 0; j < kGroup; ++j) out[j] = static_cast<char>(numbers[i + j]);
+        out += kGroup;
+        i += kGroup;
+        continue;
+      }
+    }
+    const std::size_t end = std::min(count, i + kGroup);
+    for (; i < end; ++i) {
+      std::uint16_t number = numbers[i];
+      for (; number >= 0x80; number >>= 7) *out++ = static_cast<char>(number | 0x80);
+      *out++ = static_cast<char>(number);
+    }
+  }
+  return out;
 }
 
 std::string EncodeBlock(const std::vector<EndPoint>& points) {
@@ -107,29 +167,30 @@ std::string EncodeBlock(const std::vector<EndPoint>& points) {
   const std::size_t lag = BestLag(points);
   AppendVarint(lag, &block);
 
-  std::string column;
+  std::vector<std::uint16_t> differences(points.size());
+  std::string column(3 * points.size(), '\0');
+  const std::size_t first = std::min(lag, points.size());
   for (const auto axis : {&VoxelKey::x, &VoxelKey::y, &VoxelKey::z}) {
-    column.clear();
-    for (std::size_t i = 0; i < points.size(); ++i) {
-      AppendVarint(ZigZagDifference(points[i].key.*axis, Predicted(points, i, lag).*axis), &column);
+    for (std::size_t i = 0; i < first; ++i) {
+      differences[i] = ZigZagDifference(points[i].key.*axis, Predicted(points, i, lag).*axis);
     }
-    AppendVarint(column.size(), &block);
-    block += column;
-  }
-
-  std::vector<unsigned char> class_of_point;
-  const std::vector<std::uint32_t> classes = ClassesOf(points, &class_of_point);
-  AppendVarint(classes.size(), &block);
-  if (classes.empty()) {
-    for (const EndPoint& point : points) {
-      AppendFloat(std::bit_cast<std::uint32_t>(point.likelihood), &block);
+    for (std::size_t i = first; i < points.size(); ++i) {
+      differences[i] = ZigZagDifference(points[i].key.*axis, points[i - lag].key.*axis);
     }
-  } else {
-    for (const std::uint32_t bits : classes) AppendFloat(bits, &block);
-    block.append(class_of_point.begin(), class_of_point.end());
+    const char* const end = WriteVarints(differences, column.data());
+    const auto bytes = static_cast<std::size_t>(end - column.data());
+    AppendVarint(bytes, &block);
+    block.append(column, 0, bytes);
   }
+  AppendLikelihoods(points, &block);
   return block;
 }
+
+// What zstd needs to compress is kept: making it anew costs as much as a block.
+struct Compressor {
+  ZSTD_CCtx* const context = ZSTD_createCCtx();
+  ~Compressor() { ZSTD_freeCCtx(context); }
+};
 
 float FloatFrom(std::string_view bytes) {
   std::uint32_t bits = 0;
@@ -208,8 +269,10 @@ absl::StatusOr<std::string> EncodeJournalEntry(const std::string& session,
   AppendVarint(block.size(), &value);
   const std::size_t head_bytes = value.size();
   value.resize(head_bytes + ZSTD_compressBound(block.size()));
-  const std::size_t size = ZSTD_compress(value.data() + head_bytes, value.size() - head_bytes,
-                                         block.data(), block.size(), kZstdLevel);
+  thread_local const Compressor compressor;
+  const std::size_t size =
+      ZSTD_compressCCtx(compressor.context, value.data() + head_bytes, value.size() - head_bytes,
+                        block.data(), block.size(), kZstdLevel);
   if (ZSTD_isError(size)) {
     return absl::InternalError(
         absl::StrCat("cannot compress a journal entry: ", ZSTD_getErrorName(size)));

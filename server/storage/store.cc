@@ -361,9 +361,7 @@ absl::Status Store::State::CheckCommit(const Commit& commit, std::int64_t proces
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::uint64_t> Store::CommitBatch(const Commit& commit) {
-  const SessionId id{commit.site, commit.session};
-  if (absl::Status valid = ValidateId(id); !valid.ok()) return valid;
+absl::StatusOr<std::vector<std::string>> Store::EncodeJournal(const Commit& commit) {
   std::vector<std::string> entries;
   entries.reserve(commit.journal.size());
   for (const JournalEntry& entry : commit.journal) {
@@ -371,6 +369,19 @@ absl::StatusOr<std::uint64_t> Store::CommitBatch(const Commit& commit) {
     if (!encoded.ok()) return encoded.status();
     entries.push_back(*std::move(encoded));
   }
+  return entries;
+}
+
+absl::StatusOr<std::uint64_t> Store::CommitBatch(const Commit& commit) {
+  const auto entries = EncodeJournal(commit);
+  if (!entries.ok()) return entries.status();
+  return CommitBatch(commit, *entries);
+}
+
+absl::StatusOr<std::uint64_t> Store::CommitBatch(const Commit& commit,
+                                                 const std::vector<std::string>& entries) {
+  const SessionId id{commit.site, commit.session};
+  if (absl::Status valid = ValidateId(id); !valid.ok()) return valid;
   Batch batch;
   for (const TrajectoryEntry& entry : commit.trajectory) {
     if (entry.pose.size() > kMaxPoseBytes) {

@@ -80,6 +80,10 @@ class Store {
   // the log's durable() or heard_offset beyond processed_offset, or a journal entry's offset is not
   // in [earlier heard_offset, heard_offset): it has been counted.
   absl::StatusOr<std::uint64_t> CommitBatch(const Commit& commit);
+  // The same in two steps, the first of which needs no order among the commits.
+  static absl::StatusOr<std::vector<std::string>> EncodeJournal(const Commit& commit);
+  absl::StatusOr<std::uint64_t> CommitBatch(const Commit& commit,
+                                            const std::vector<std::string>& encoded_journal);
   absl::StatusOr<std::int64_t> ProcessedOffset(const SessionId& id) const;
   absl::StatusOr<std::int64_t> HeardOffset(const SessionId& id) const;
   absl::StatusOr<std::optional<StateSnapshot>> LatestState(const SessionId& id) const;

@@ -20,23 +20,27 @@ using tcp = asio::ip::tcp;
 constexpr std::uint64_t kMaxBodyBytes = 16 << 10;
 constexpr std::chrono::seconds kRequestTimeout(30);
 
-using IsReady = std::function<bool()>;
+using Source = HttpGateway::Source;
 
 http::response<http::string_body> Answer(const http::request<http::string_body>& request,
-                                         const IsReady& is_ready) {
+                                         const Source& source) {
   http::response<http::string_body> response(http::status::ok, request.version());
   response.set(http::field::content_type, "text/plain; charset=utf-8");
   response.keep_alive(request.keep_alive());
   const bool live = request.target() == "/livez";
   const bool ready = request.target() == "/readyz";
-  if (!live && !ready) {
+  const bool metrics = request.target() == "/metrics";
+  if (!live && !ready && !metrics) {
     response.result(http::status::not_found);
     response.body() = "no such page\n";
   } else if (request.method() != http::verb::get && request.method() != http::verb::head) {
     response.result(http::status::method_not_allowed);
     response.set(http::field::allow, "GET, HEAD");
     response.body() = "only GET\n";
-  } else if (ready && !is_ready()) {
+  } else if (metrics) {
+    response.set(http::field::content_type, "text/plain; version=0.0.4; charset=utf-8");
+    response.body() = source.metrics();
+  } else if (ready && !source.is_ready()) {
     response.result(http::status::service_unavailable);
     response.body() = "not serving\n";
   } else {
@@ -50,8 +54,8 @@ http::response<http::string_body> Answer(const http::request<http::string_body>&
 // One connection: requests one after the other until the peer closes or is too slow.
 class Connection : public std::enable_shared_from_this<Connection> {
  public:
-  Connection(tcp::socket socket, IsReady is_ready)
-      : stream_(std::move(socket)), is_ready_(std::move(is_ready)) {}
+  Connection(tcp::socket socket, Source source)
+      : stream_(std::move(socket)), source_(std::move(source)) {}
 
   void Read() {
     parser_.emplace();
@@ -65,7 +69,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
 
  private:
   void Write() {
-    response_ = Answer(parser_->get(), is_ready_);
+    response_ = Answer(parser_->get(), source_);
     http::async_write(stream_, response_,
                       [self = shared_from_this()](beast::error_code error, std::size_t) {
                         if (!error && self->response_.keep_alive()) self->Read();
@@ -73,7 +77,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   }
 
   beast::tcp_stream stream_;
-  const IsReady is_ready_;
+  const Source source_;
   beast::flat_buffer buffer_{kMaxBodyBytes};
   std::optional<http::request_parser<http::string_body>> parser_;
   http::response<http::string_body> response_;
@@ -83,8 +87,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
 
 class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
  public:
-  Listener(const asio::any_io_executor& executor, IsReady is_ready)
-      : acceptor_(asio::make_strand(executor)), is_ready_(std::move(is_ready)) {}
+  Listener(const asio::any_io_executor& executor, Source source)
+      : acceptor_(asio::make_strand(executor)), source_(std::move(source)) {}
 
   beast::error_code Open(const tcp::endpoint& endpoint) {
     beast::error_code error;
@@ -101,7 +105,7 @@ class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
         asio::make_strand(acceptor_.get_executor()),
         [self = shared_from_this()](beast::error_code error, tcp::socket socket) {
           if (error == asio::error::operation_aborted) return;
-          if (!error) std::make_shared<Connection>(std::move(socket), self->is_ready_)->Read();
+          if (!error) std::make_shared<Connection>(std::move(socket), self->source_)->Read();
           self->Accept();
         });
   }
@@ -115,11 +119,11 @@ class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
 
  private:
   tcp::acceptor acceptor_;
-  const IsReady is_ready_;
+  const Source source_;
 };
 
 absl::StatusOr<std::unique_ptr<HttpGateway>> HttpGateway::Start(
-    const asio::any_io_executor& executor, const std::string& address, IsReady is_ready) {
+    const asio::any_io_executor& executor, const std::string& address, Source source) {
   const std::size_t colon = address.rfind(':');
   int port = -1;
   beast::error_code error;
@@ -133,7 +137,7 @@ absl::StatusOr<std::unique_ptr<HttpGateway>> HttpGateway::Start(
     return absl::InvalidArgumentError(
         absl::StrCat("the HTTP address '", address, "' is not HOST:PORT with a numeric host"));
   }
-  auto listener = std::make_shared<Listener>(executor, std::move(is_ready));
+  auto listener = std::make_shared<Listener>(executor, std::move(source));
   error = listener->Open({host, static_cast<std::uint16_t>(port)});
   if (error) {
     return absl::UnavailableError(

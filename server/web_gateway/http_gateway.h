@@ -9,16 +9,21 @@
 
 namespace soundmap::web_gateway {
 
-// The HTTP port: `GET /livez` (200 while the process runs) and `GET /readyz` (200 while it serves,
-// else 503). Other paths are 404, other methods 405; a request is at most 16 KiB and must arrive
-// within 30 s.
+// The HTTP port: `GET /livez` (200 while the process runs), `GET /readyz` (200 while it serves,
+// else 503) and `GET /metrics` (for Prometheus). Other paths are 404, other methods 405; a request
+// is at most 16 KiB and must arrive within 30 s.
 class HttpGateway {
  public:
+  // Where answers come from; any thread calls.
+  struct Source {
+    std::function<bool()> is_ready;
+    std::function<std::string()> metrics;
+  };
+
   // `address` is HOST:PORT, port 0 for any. InvalidArgument: not an address; Unavailable: the port
   // cannot be bound.
   static absl::StatusOr<std::unique_ptr<HttpGateway>> Start(
-      const boost::asio::any_io_executor& executor, const std::string& address,
-      std::function<bool()> is_ready);
+      const boost::asio::any_io_executor& executor, const std::string& address, Source source);
   // Stops listening; connections that are open end with their present request.
   ~HttpGateway();
 

@@ -28,10 +28,10 @@ void PrintTracking(const Scene& scene, int seeds) {
     std::printf(
         "%-16s seed %2d: mean %.3f m, p95 %.3f m, max %.3f m, yaw %.2f deg, tracking %.1f %%, "
         "called lost "
-        "%.1f %%, fit %.2f, %lld corrections of %.0f us, %lld losses, %lld jumps%s\n",
+        "%.1f %%, fit %.2f, %lld corrections of %.0f us, lag %.3f s, %lld losses, %lld jumps%s\n",
         scene.name.c_str(), seed, r.mean_m, r.p95_m, r.max_m, yaw_deg, 100.0 * r.tracking_share,
         100.0 * r.lost_share, r.mean_fit, static_cast<long long>(r.counters.corrections),
-        r.correction_us, static_cast<long long>(r.counters.losses),
+        r.correction_us, r.laser_lag_s, static_cast<long long>(r.counters.losses),
         static_cast<long long>(r.counters.odometry_jumps), r.diverged() ? "  DIVERGED" : "");
     std::fflush(stdout);
     lost += r.diverged();

@@ -3,9 +3,8 @@
 
 usage: table.py RUN                 print the table of a run
        table.py RUN --keep KEPT     and keep the run: its files, and the table in KEPT/README.md
-       table.py RUN --check KEPT    and fail when we lead a peer by much less than in the run kept
 
-RUN and KEPT are folders of Google Benchmark's JSON files, a program each. A benchmark's name is
+RUN and KEPT are folders of Google Benchmark's JSON files, a program each, and the one that server.py writes. A benchmark's name is
 GROUP/METHOD; the method `ours` is compared with every other one of its group. All figures are
 medians over the repetitions, times are CPU times.
 """
@@ -15,6 +14,7 @@ import pathlib
 import sys
 
 ALLOWED_LOSS = 0.25  # of a ratio: what a change of machine or a noisy neighbour may cost
+GROWTH = "growth"  # groups whose name begins so are plotted, see plot.py
 NOT_COUNTERS = {
     "name", "family_index", "per_family_instance_index", "run_name", "run_type", "repetitions",
     "threads", "aggregate_name", "aggregate_unit", "iterations", "real_time", "cpu_time",
@@ -29,7 +29,8 @@ def read(folder):
         text = path.read_text()
         if text.strip():
             documents[path.name] = json.loads(text)
-    return {name: document for name, document in documents.items() if document["benchmarks"]}
+    return {name: document for name, document in documents.items()
+            if document.get("benchmarks") or "full_speed" in document}
 
 
 def group_and_method(name):
@@ -46,7 +47,7 @@ def medians(documents):
     groups = {}
     for document in documents.values():
         # Interleaved repetitions end in any order.
-        for entry in sorted(document["benchmarks"], key=lambda entry: entry["family_index"]):
+        for entry in sorted(document.get("benchmarks", []), key=lambda entry: entry["family_index"]):
             if "error_occurred" in entry:
                 sys.exit(f"{entry['name']}: {entry.get('error_message')}")
             if entry.get("aggregate_name") == "median":
@@ -84,12 +85,48 @@ def markdown(groups):
     ratio_of = ratios(groups)
     rows = [("what", "method", "median", "ours is faster by"), ("---",) * 4]
     for group, methods in groups.items():
+        if group.startswith(GROWTH):
+            continue
         order = sorted(methods, key=lambda method: (method != "ours", in_ms(methods[method])))
         for method in order:
             ratio = ratio_of.get((group, method))
             rows.append((group if method == order[0] else "", method, figures(methods[method]),
                          f"{ratio:.2f}" if ratio else ""))
-    width = [max(len(row[column]) for row in rows) for column in range(4)]
+    return aligned(rows)
+
+
+def server_rows(server):
+    """What server.py measured, as lines of a table and one of stages."""
+    full = server["full_speed"]
+    rows = [("what", "figure"), ("---", "---"),
+            (f"robots per core, {full['robots']} replay {full['seconds']} s at full speed",
+             f"{full['robots_per_core']:.1f} ({min(full['robots_per_core_of_runs']):.1f} to "
+             f"{max(full['robots_per_core_of_runs']):.1f})"),
+            ("bytes a robot sends", f"{full['wire_bytes_per_s'] / 1e3:.0f} kB/s"),
+            ("memory, nothing stored", f"{server['empty_memory_mb']:.0f} MB")]
+    if "streaming" in server:
+        live = server["streaming"]
+        rows += [("memory, one site with its building", f"{live['memory_before_mb']:.0f} MB"),
+                 (f"memory per robot, {live['robots']} stream", f"{live['memory_per_robot_mb']:.1f} MB"),
+                 (f"load of the core, {live['robots']} stream", f"{100 * live['core_share']:.0f} %")]
+        for name, what in (("box_query", "box query, 2 m"), ("source_list", "source list")):
+            query = live["queries"][name]
+            rows.append((f"{what}, {live['robots']} stream",
+                         f"p50 {query['p50_ms']:.2f} ms, p99 {query['p99_ms']:.2f} ms"))
+    if "two_cores" in server:
+        two = server["two_cores"]
+        rows.append(("robots on two cores by the clock; speed-up over one",
+                     f"{two['robots_by_wall']:.1f}; {two['speed_up']:.2f}"))
+    stages = sorted(full["ms_per_robot_second"].items(), key=lambda stage: -stage[1])
+    total = sum(ms for _, ms in stages)
+    split = [("stage", "ms of a core per robot and second", "share"), ("---",) * 3]
+    split += [(name, f"{ms:.2f}", f"{100 * ms / total:.1f} %") for name, ms in stages]
+    split.append(("all", f"{total:.2f}", ""))
+    return rows, split
+
+
+def aligned(rows):
+    width = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = []
     for row in rows:
         fill = "-" if row[0] == "---" else " "
@@ -97,11 +134,23 @@ def markdown(groups):
     return "\n".join(lines)
 
 
+def page_of(documents):
+    """The tables of a run."""
+    parts = []
+    if groups := medians(documents):
+        parts.append(markdown(groups))
+    for document in documents.values():
+        if "full_speed" in document:
+            parts += [aligned(rows) for rows in server_rows(document)]
+    return "\n\n".join(parts)
+
+
 def machine(documents):
-    context = next(iter(documents.values()))["context"]
-    return (f"{context.get('cpu', 'unknown processor')}, {context['num_cpus']} cores at "
-            f"{context['mhz_per_cpu']} MHz, {context.get('compiler', 'unknown compiler')}, "
-            f"{context['date'][:10]}")
+    contexts = [document["context"] for document in documents.values()]
+    context = next((context for context in contexts if "mhz_per_cpu" in context), contexts[0])
+    speed = f" at {context['mhz_per_cpu']} MHz" if "mhz_per_cpu" in context else ""
+    return (f"{context.get('cpu', 'unknown processor')}, {context['num_cpus']} cores{speed}, "
+            f"{context.get('compiler', 'unknown compiler')}, {context['date'][:10]}")
 
 
 def keep(documents, kept):
@@ -115,22 +164,8 @@ def keep(documents, kept):
     if not begin or not end:
         sys.exit(f"{page} has no place for the table")
     everything = read(kept)
-    table = f"{markdown(medians(everything))}\n\nMachine: {machine(documents)}.\n"
+    table = f"{page_of(everything)}\n\nMachine: {machine(documents)}.\n"
     page.write_text(before + begin + "\n" + table + "\n" + end + after)
-
-
-def check(groups, kept):
-    now = ratios(groups)
-    lost = False
-    for (group, peer), before in ratios(medians(read(kept))).items():
-        if (group, peer) in now and now[group, peer] < (1.0 - ALLOWED_LOSS) * before:
-            lost = True
-            print(f"{group}: ours is {now[group, peer]:.2f} times as fast as {peer}; "
-                  f"it was {before:.2f}", file=sys.stderr)
-    if not now.keys() & ratios(medians(read(kept))).keys():
-        sys.exit("nothing that was measured is in the run kept")
-    if lost:
-        sys.exit(1)
 
 
 def main():
@@ -138,17 +173,13 @@ def main():
                                         formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("run", type=pathlib.Path)
     arguments.add_argument("--keep", type=pathlib.Path, metavar="KEPT")
-    arguments.add_argument("--check", type=pathlib.Path, metavar="KEPT")
     given = arguments.parse_args()
     documents = read(given.run)
     if not documents:
         sys.exit("no benchmark ran")
-    groups = medians(documents)
-    print(markdown(groups))
+    print(page_of(documents))
     if given.keep:
         keep(documents, given.keep)
-    if given.check:
-        check(groups, given.check)
 
 
 if __name__ == "__main__":

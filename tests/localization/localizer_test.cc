@@ -3,9 +3,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
+#include "drive_along.h"
 #include "synthetic_room.h"
 
 namespace soundmap::localization {
@@ -309,6 +311,54 @@ TEST(Localizer, ALagOfTheLaserIsTakenOut) {
   EXPECT_LT(mean_error_m[1], 0.01);
 }
 
+// Turns on the spot between straight drives tell the lag, whatever it is; what is known of it is
+// part of the state.
+TEST(Localizer, FindsTheLagOfTheLaserByItself) {
+  const SyntheticRoom room;
+  const DriveAlong along(room, {{1.5, 1.0},
+                                {6.5, 1.0},
+                                {6.5, 5.0},
+                                {2.0, 5.0},
+                                {2.0, 1.0},
+                                {6.5, 1.0},
+                                {6.5, 5.0},
+                                {2.0, 5.0},
+                                {1.5, 1.0},
+                                {6.5, 1.0}});
+  const auto plan = Prepare(room);
+  for (const double lag_s : {0.0, 0.1, -0.08}) {
+    std::mt19937_64 engine(3);
+    Pose2 odom_from_base;
+    std::vector<frames::Frame> frames = along.Frames(kStart_ns, odom_from_base, engine);
+    for (frames::Frame& frame : frames) {
+      if (auto* scan = std::get_if<frames::LaserScan>(&frame)) {
+        scan->stamp_ns += frames::NsFromSeconds(lag_s);
+      }
+    }
+    std::stable_sort(frames.begin(), frames.end(), [](const auto& a, const auto& b) {
+      return frames::StampOf(a) < frames::StampOf(b);
+    });
+    auto localizer =
+        Localizer::Create(plan, LaserInFront(), InitialPose{along.TruthAt(0.0)}, 1).value();
+    double late_error_m = 0.0;
+    int late = 0;
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      if (i % 101 == 0) {
+        localizer = Localizer::Restore(plan, LaserInFront(), localizer.state()).value();
+      }
+      for (const PoseEstimate& estimate : Feed(localizer, frames[i])) {
+        const double time_s = frames::SecondsFromNs(estimate.stamp_ns - kStart_ns);
+        if (time_s < 0.5 * along.duration_s()) continue;
+        const Pose2 off = along.TruthAt(time_s).Inverse() * estimate.map_from_base;
+        late_error_m += std::hypot(off.x_m, off.y_m);
+        ++late;
+      }
+    }
+    EXPECT_NEAR(localizer.laser_lag_s(), lag_s, 0.015);
+    EXPECT_LT(late_error_m / late, 0.015) << "lag " << lag_s;
+  }
+}
+
 TEST(Localizer, BetweenCorrectionsBothAreCarriedByOdometryAndWeightedByTime) {
   const SyntheticRoom room;
   const Drive drive = MakeDrive(room, 6.0, 5);
@@ -431,6 +481,8 @@ TEST(Localizer, RefusesAStateOfAnotherConfiguration) {
   EXPECT_TRUE(refused([](LocalizerState& s) { s.particles[3].map_from_base.x_m = std::nan(""); }));
   EXPECT_TRUE(refused([](LocalizerState& s) { s.odom_from_particles.reset(); }));
   EXPECT_TRUE(refused([](LocalizerState& s) { s.waiting_scans.resize(1000); }));
+  EXPECT_TRUE(refused([](LocalizerState& s) { s.laser_lag_s = 7.0; }));
+  EXPECT_TRUE(refused([](LocalizerState& s) { s.lag.turned_rad = std::nan(""); }));
 }
 
 TEST(Localizer, SaysWhyItCannotStart) {

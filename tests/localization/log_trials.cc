@@ -62,7 +62,7 @@ Localizer StartAtFirstPose(const Scene& scene, const std::shared_ptr<const Prepa
 
 Config Scene::config() const {
   Config config;
-  config.laser_lag_s = lag_s;
+  if (is_lag_given) config.laser_lag_s = lag_s;
   return config;
 }
 
@@ -78,7 +78,7 @@ Scene AcesScene() {
               ReadCarmenLog(folder + "/aces.clf.bz2", folder + "/corrected_poses.csv", 49.0),
               {},
               0.0,
-              0.10};
+              0.085};
   scene.plan = DrawPlan(scene.log, kCellSize_m, kDrawnRange_m);
   return scene;
 }
@@ -89,7 +89,7 @@ Scene CsailScene() {
               ReadCarmenLog(folder + "/mit-csail.clf.bz2", folder + "/corrected_poses.csv", 80.0),
               {},
               0.0,
-              0.10};
+              0.12};
   scene.plan = DrawPlan(scene.log, kCellSize_m, kDrawnRange_m);
   return scene;
 }
@@ -101,7 +101,7 @@ Scene Building079Scene() {
       ReadCarmenLog(folder + "/fr079_first_150s.clf.bz2", folder + "/corrected_poses.csv", 80.0),
       {},
       -0.04,
-      0.10};
+      0.12};
   scene.plan = building::ImportBuilding(folder + "/geb079.bt", {})->floor_plan;
   Transform({17.84, 0.31, geometry::RadFromDeg(4.89)}, scene.log.true_poses);
   const TimeNs end_ns = frames::StampOf(scene.log.frames.back());
@@ -153,6 +153,7 @@ TrackResult Track(const Scene& scene, const std::shared_ptr<const PreparedPlan>&
     result.p95_m = errors_m[errors_m.size() * 95 / 100];
     result.max_m = errors_m.back();
   }
+  result.laser_lag_s = localizer.laser_lag_s();
   result.counters = localizer.counters();
   return result;
 }

@@ -13,8 +13,9 @@ struct Scene {
   std::string name;
   RealLog log;
   building::FloorPlan plan;
-  double laser_x_m = 0.0;  // before base_link
-  double lag_s = 0.0;
+  double laser_x_m = 0.0;     // before base_link
+  double lag_s = 0.0;         // at which the odometry's turns agree best with the true poses'
+  bool is_lag_given = false;  // to the Localizer
 
   Config config() const;
   frames::Calibration calibration() const;
@@ -35,6 +36,7 @@ struct TrackResult {
   double lost_share = 0.0;
   double mean_fit = 0.0;
   double correction_us = 0.0;
+  double laser_lag_s = 0.0;  // in use at the end
   Counters counters;
   bool diverged() const { return !(max_m < 1.0); }
 };

@@ -38,6 +38,21 @@ class ChainTest(ProgramTest):
         session = self.session_list(server)[0]
         self.assertEqual(session["received"], session["processed"])
 
+    def test_metrics_say_what_the_work_was(self):
+        server = self.server()
+        self.make_site(server)
+        self.replay(server, DRIVES / "short.mcap")
+        with urllib.request.urlopen(f"http://{server.http_address}/metrics") as answer:
+            self.assertTrue(answer.headers["Content-Type"].startswith("text/plain; version=0.0.4"))
+            text = answer.read().decode()
+        values = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
+        stages = {name: float(value) for name, value in values.items() if name.startswith("soundmap_stage_cpu")}
+        for stage in ("receive", "log", "localize", "spectra", "power", "evidence", "cast", "commit", "map"):
+            self.assertGreater(stages[f'soundmap_stage_cpu_seconds_total{{stage="{stage}"}}'], 0)
+        self.assertLessEqual(sum(stages.values()), float(values["process_cpu_seconds_total"]))
+        sent = (DRIVES / "short.mcap").stat().st_size
+        self.assertGreater(float(values["soundmap_received_bytes_total"]), sent / 2)
+
     def test_exports_are_what_they_say(self):
         server = self.server()
         self.make_site(server)

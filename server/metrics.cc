@@ -1,0 +1,62 @@
+#include "metrics.h"
+
+#include <prometheus/metric_family.h>
+#include <prometheus/text_serializer.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <fstream>
+#include <vector>
+
+namespace soundmap {
+namespace {
+
+using prometheus::ClientMetric;
+using prometheus::MetricFamily;
+using prometheus::MetricType;
+
+double Seconds(const timeval& time) {
+  return static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_usec);
+}
+
+double ResidentBytes() {
+  std::ifstream statm("/proc/self/statm");
+  double all_pages = 0.0;
+  double resident_pages = 0.0;
+  statm >> all_pages >> resident_pages;
+  return resident_pages * static_cast<double>(::sysconf(_SC_PAGESIZE));
+}
+
+MetricFamily One(const char* name, const char* help, MetricType type, double value) {
+  ClientMetric metric;
+  (type == MetricType::Counter ? metric.counter.value : metric.gauge.value) = value;
+  return {name, help, type, {metric}};
+}
+
+}  // namespace
+
+std::string MetricsText(const pipeline::Meters& meters) {
+  MetricFamily stages{"soundmap_stage_cpu_seconds_total",
+                      "Processor time by stage of the work on robots' frames.",
+                      MetricType::Counter,
+                      {}};
+  for (int i = 0; i < pipeline::kStages; ++i) {
+    const auto stage = static_cast<pipeline::Stage>(i);
+    ClientMetric& metric = stages.metric.emplace_back();
+    metric.label.push_back({"stage", pipeline::NameOf(stage)});
+    metric.counter.value = std::chrono::duration<double>(meters.stages.cpu_time(stage)).count();
+  }
+  rusage usage = {};
+  ::getrusage(RUSAGE_SELF, &usage);
+  return prometheus::TextSerializer().Serialize(
+      {stages,
+       One("soundmap_received_bytes_total", "Bytes of the messages that robots have sent.",
+           MetricType::Counter, static_cast<double>(meters.received_bytes)),
+       One("process_cpu_seconds_total", "Processor time of the process.", MetricType::Counter,
+           Seconds(usage.ru_utime) + Seconds(usage.ru_stime)),
+       One("process_resident_memory_bytes", "Memory of the process.", MetricType::Gauge,
+           ResidentBytes())});
+}
+
+}  // namespace soundmap

@@ -1,0 +1,120 @@
+#!/usr/bin/env python3
+"""Fails when we lead a peer method by much less than in the run that is kept.
+
+usage: check.py BIN KEPT
+
+Of every group of the kept run, our method and its fastest peer run again, side by side: only what both take in
+the same run is compared, so that a slow machine slows both. Of each method the fastest of the interleaved repetitions
+counts: a busy neighbour only ever adds, and to what lives in the cache more than to what does not. A group that seems
+to have lost runs again, longer, before it counts: noise passes, a loss stays.
+"""
+import argparse
+import json
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+
+import table
+
+# How often and how long (in seconds) each method runs in one go; the later goes are only for what failed before.
+GOES = ((9, 0.03), (15, 0.05), (25, 0.1))
+
+
+class CannotRun(Exception):
+    pass
+
+
+def rows_of(document):
+    """{group: (our benchmark, the fastest peer's benchmark, the peer's method, ratio)} of a program's kept run."""
+    groups = table.medians({"": document})
+    rows = {}
+    for group, methods in groups.items():
+        peers = {method: entry for method, entry in methods.items() if method != "ours"}
+        if "ours" not in methods or not peers or group.startswith(table.GROWTH):
+            continue
+        fastest = min(peers, key=lambda method: table.in_ms(peers[method]))
+        rows[group] = (methods["ours"]["run_name"], peers[fastest]["run_name"], fastest,
+                       table.in_ms(peers[fastest]) / table.in_ms(methods["ours"]))
+    return rows
+
+
+def measure(program, names, repetitions, seconds):
+    """{group: {method: ms}} of these benchmarks of a program."""
+    pattern = "^(" + "|".join(re.escape(name) for name in sorted(names)) + ")$"
+    with tempfile.TemporaryDirectory() as folder:
+        out = pathlib.Path(folder) / "out.json"
+        result = subprocess.run(
+            [program, f"--benchmark_filter={pattern}", f"--benchmark_repetitions={repetitions}",
+             f"--benchmark_min_time={seconds}", "--benchmark_enable_random_interleaving=true",
+             f"--benchmark_out={out}", "--benchmark_out_format=json"],
+            capture_output=True, text=True)
+        if result.returncode != 0:
+            raise CannotRun(f"{program.name} failed: {result.stderr.strip()[-1000:]}")
+        fastest = {}
+        for entry in json.loads(out.read_text() or "{}").get("benchmarks", []):
+            if "error_occurred" in entry:
+                raise CannotRun(f"{entry['name']}: {entry.get('error_message')}")
+            if entry.get("run_type") == "iteration":
+                group, method = table.group_and_method(entry["run_name"])
+                methods = fastest.setdefault(group, {})
+                methods[method] = min(methods.get(method, float("inf")), table.in_ms(entry))
+        return fastest
+
+
+def check(programs, kept, goes=GOES, say=print):
+    """The groups that lost, each with its last ratio and the kept one. `programs`: {name: path}, `kept`: a folder."""
+    rows = {}
+    for file_name, document in table.read(kept).items():
+        program = programs.get(pathlib.Path(file_name).stem)
+        for group, row in rows_of(document).items():
+            if program is None:
+                say(f"{group}: no program measures it")
+            else:
+                rows[group] = (program, *row)
+    if not rows:
+        raise CannotRun("nothing of the run kept can be measured")
+    lost = {}
+    for go, (repetitions, seconds) in enumerate(goes):
+        pending = lost if go > 0 else rows
+        lost = {}
+        for program in sorted({rows[group][0] for group in pending}):
+            mine = {group for group in pending if rows[group][0] == program}
+            names = {name for group in mine for name in rows[group][1:3]}
+            measured = measure(program, names, repetitions, seconds)
+            for group in sorted(mine):
+                _, _, _, peer, before = rows[group]
+                methods = measured.get(group, {})
+                if "ours" not in methods or peer not in methods:
+                    say(f"{group}: no longer measured against {peer}")
+                    continue
+                now = methods[peer] / methods["ours"]
+                falls = now < (1.0 - table.ALLOWED_LOSS) * before
+                say(f"{group}: ours is {now:.2f} times as fast as {peer}; kept: {before:.2f}"
+                    f"{' - less than allowed' if falls else ''}")
+                if falls:
+                    lost[group] = (peer, now, before)
+        if not lost:
+            break
+    return lost
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("bin", type=pathlib.Path)
+    arguments.add_argument("kept", type=pathlib.Path)
+    given = arguments.parse_args()
+    programs = {path.name.removesuffix("_benchmark"): path.resolve() for path in given.bin.glob("*_benchmark")}
+    try:
+        lost = check(programs, given.kept)
+    except CannotRun as error:
+        sys.exit(f"check: {error}")
+    for group, (peer, now, before) in lost.items():
+        print(f"check: {group}: ours is {now:.2f} times as fast as {peer}, which is more than "
+              f"{100 * table.ALLOWED_LOSS:.0f} % below the {before:.2f} of the run kept in {given.kept}", file=sys.stderr)
+    sys.exit(1 if lost else 0)
+
+
+if __name__ == "__main__":
+    main()
