@@ -197,8 +197,8 @@ int RangeIndex::RangesWithin(const Query& query, float angle_rad, Range* ranges)
   const int high = BandOf(query.elevation_ratio + elevation_reach);
   // Points within the angle lie within asin(sin(angle) / cos(elevation)) of azimuth, unless a pole
   // is within the angle as well.
-  const float sine = angle_rad / (query.across + std::numeric_limits<float>::min());
-  const bool pole = sine >= 1.0f;
+  const bool pole = angle_rad >= query.across;
+  const float sine = pole ? 1.0f : angle_rad / query.across;
   const float azimuth_reach = sine * (1.0f + 0.5708f * sine * sine) + kRounding;
   int count = 0;
   for (int band = low; band <= high; ++band) {
