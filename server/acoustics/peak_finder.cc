@@ -3,8 +3,9 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <numeric>
+#include <iterator>
 
 namespace soundmap::acoustics {
 namespace {
@@ -107,16 +108,28 @@ PeakFinder::Maximum PeakFinder::Largest(const AudioScan& scan, std::span<const R
   return largest;
 }
 
-PeakFinder::Background PeakFinder::BackgroundOf(std::vector<float> residual) const {
-  const auto at = [&](std::size_t rank) {
-    return residual.begin() + static_cast<std::ptrdiff_t>(rank);
+PeakFinder::Background PeakFinder::BackgroundOf(std::span<const float> residual) const {
+  // Values are counted by classes of equal width, and only those of one class are put in order.
+  constexpr int kClasses = 1024;
+  const auto [least, most] = std::minmax_element(residual.begin(), residual.end());
+  const float low = *least;
+  const float per_value = *most > low ? (kClasses - 1) / (*most - low) : 0.0f;
+  const auto class_of = [&](float value) { return static_cast<int>((value - low) * per_value); };
+  std::array<int, kClasses> count = {};
+  for (const float value : residual) ++count[class_of(value)];
+  std::vector<float> of_class;
+  const auto at_rank = [&](std::size_t rank) -> double {
+    int c = 0;
+    for (; rank >= static_cast<std::size_t>(count[c]); ++c) rank -= count[c];
+    of_class.clear();
+    std::copy_if(residual.begin(), residual.end(), std::back_inserter(of_class),
+                 [&](float value) { return class_of(value) == c; });
+    const auto at = of_class.begin() + static_cast<std::ptrdiff_t>(rank);
+    std::nth_element(of_class.begin(), at, of_class.end());
+    return *at;
   };
-  const std::size_t middle = (residual.size() - 1) / 2;
-  std::nth_element(residual.begin(), at(middle), residual.end());
-  const double median = *at(middle);
-  const std::size_t quarter = (residual.size() - 1) / 4;
-  std::nth_element(residual.begin(), at(quarter), at(middle));
-  return {median, (median - *at(quarter)) / kQuartileInSigmas};
+  const double median = at_rank((residual.size() - 1) / 2);
+  return {median, (median - at_rank((residual.size() - 1) / 4)) / kQuartileInSigmas};
 }
 
 bool PeakFinder::Covers(const Eigen::Vector3d& direction) const {

@@ -67,7 +67,7 @@ class PeakFinder {
   // The largest residual of the grid, if it may be more than `least_height` above `floor`.
   Maximum Largest(const AudioScan& scan, std::span<const Removed> removed,
                   std::span<const float> residual, double floor, double least_height) const;
-  Background BackgroundOf(std::vector<float> residual) const;
+  Background BackgroundOf(std::span<const float> residual) const;
   bool Covers(const Eigen::Vector3d& direction) const;
 
   PeakEvidence evidence_;

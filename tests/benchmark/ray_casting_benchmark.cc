@@ -15,8 +15,8 @@
 #include "tests/benchmark/require.h"
 #include "tests/benchmark/room.h"
 
-// Section V for one audio scan: the LIDAR points by direction as seen from the array, then the
-// nearest point of each candidate direction.
+// Section V for one audio scan: an index of the LIDAR points by direction as seen from the array,
+// and the nearest point of each candidate direction.
 namespace soundmap::benchmarks {
 namespace {
 
@@ -49,16 +49,24 @@ std::vector<std::array<float, 3>> UnitVectors(const Scene& scene) {
   return unit;
 }
 
-std::vector<int> Ours(const Scene& scene) {
-  const ray_casting::RangeIndex index(scene.points, scene.origin, kMaxAngle_rad);
-  std::vector<int> nearest;
-  nearest.reserve(scene.directions.size());
-  for (const Eigen::Vector3d& direction : scene.directions) {
-    const auto hit = index.Nearest(direction);
-    nearest.push_back(hit ? hit->point : kNone);
+// Each method is made of the scene, and then finds the nearest point of every direction.
+class Ours {
+ public:
+  explicit Ours(const Scene& scene) : index_(scene.points, scene.origin, kMaxAngle_rad) {}
+
+  std::vector<int> Nearest(const Directions& directions) const {
+    std::vector<int> nearest;
+    nearest.reserve(directions.size());
+    for (const Eigen::Vector3d& direction : directions) {
+      const auto hit = index_.Nearest(direction);
+      nearest.push_back(hit ? hit->point : kNone);
+    }
+    return nearest;
   }
-  return nearest;
-}
+
+ private:
+  ray_casting::RangeIndex index_;
+};
 
 struct Cloud {
   std::vector<std::array<float, 3>> points;
@@ -70,54 +78,68 @@ struct Cloud {
   }
 };
 
-std::vector<int> KdTree(const Scene& scene) {
-  using Tree =
-      nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3>;
-  const Cloud cloud{UnitVectors(scene)};
-  const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(10));
-  const double chord = 2.0 * std::sin(0.5 * kMaxAngle_rad);
-  std::vector<int> nearest;
-  nearest.reserve(scene.directions.size());
-  for (const Eigen::Vector3d& direction : scene.directions) {
-    const Eigen::Vector3f query = direction.cast<float>();
-    std::uint32_t point = 0;
-    float distance2 = 0.0f;
-    const bool found =
-        tree.knnSearch(query.data(), 1, &point, &distance2) == 1 && distance2 < chord * chord;
-    nearest.push_back(found ? static_cast<int>(point) : kNone);
+class KdTree {
+ public:
+  explicit KdTree(const Scene& scene)
+      : cloud_{UnitVectors(scene)},
+        tree_(3, cloud_, nanoflann::KDTreeSingleIndexAdaptorParams(10)) {}
+
+  std::vector<int> Nearest(const Directions& directions) const {
+    const double chord = 2.0 * std::sin(0.5 * kMaxAngle_rad);
+    std::vector<int> nearest;
+    nearest.reserve(directions.size());
+    for (const Eigen::Vector3d& direction : directions) {
+      const Eigen::Vector3f query = direction.cast<float>();
+      std::uint32_t point = 0;
+      float distance2 = 0.0f;
+      const bool found =
+          tree_.knnSearch(query.data(), 1, &point, &distance2) == 1 && distance2 < chord * chord;
+      nearest.push_back(found ? static_cast<int>(point) : kNone);
+    }
+    return nearest;
   }
-  return nearest;
-}
+
+ private:
+  Cloud cloud_;
+  nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3> tree_;
+};
 
 // The largest of all products v_L . v_a, as a matrix product.
-std::vector<int> BruteForce(const Scene& scene) {
-  constexpr Eigen::Index kBlock = 2048;  // products of one direction that stay in the cache
-  const std::vector<std::array<float, 3>> unit = UnitVectors(scene);
-  const Eigen::Map<const Eigen::Matrix3Xf> v_l(unit.front().data(), 3,
-                                               static_cast<Eigen::Index>(unit.size()));
-  std::vector<int> nearest;
-  nearest.reserve(scene.directions.size());
-  Eigen::VectorXf dot;
-  for (const Eigen::Vector3d& direction : scene.directions) {
-    const Eigen::Vector3f v_a = direction.cast<float>();
-    auto best = static_cast<float>(std::cos(kMaxAngle_rad));
-    Eigen::Index point = kNone;
-    for (Eigen::Index first = 0; first < v_l.cols(); first += kBlock) {
-      const Eigen::Index count = std::min(kBlock, v_l.cols() - first);
-      dot.noalias() = v_l.middleCols(first, count).transpose() * v_a;
-      if (!(dot.maxCoeff() > best)) continue;
-      Eigen::Index place = 0;
-      best = dot.maxCoeff(&place);
-      point = first + place;
+class BruteForce {
+ public:
+  explicit BruteForce(const Scene& scene) : unit_(UnitVectors(scene)) {}
+
+  std::vector<int> Nearest(const Directions& directions) const {
+    constexpr Eigen::Index kBlock = 2048;  // products of one direction that stay in the cache
+    const Eigen::Map<const Eigen::Matrix3Xf> v_l(unit_.front().data(), 3,
+                                                 static_cast<Eigen::Index>(unit_.size()));
+    std::vector<int> nearest;
+    nearest.reserve(directions.size());
+    Eigen::VectorXf dot;
+    for (const Eigen::Vector3d& direction : directions) {
+      const Eigen::Vector3f v_a = direction.cast<float>();
+      auto best = static_cast<float>(std::cos(kMaxAngle_rad));
+      Eigen::Index point = kNone;
+      for (Eigen::Index first = 0; first < v_l.cols(); first += kBlock) {
+        const Eigen::Index count = std::min(kBlock, v_l.cols() - first);
+        dot.noalias() = v_l.middleCols(first, count).transpose() * v_a;
+        if (!(dot.maxCoeff() > best)) continue;
+        Eigen::Index place = 0;
+        best = dot.maxCoeff(&place);
+        point = first + place;
+      }
+      nearest.push_back(static_cast<int>(point));
     }
-    nearest.push_back(static_cast<int>(point));
+    return nearest;
   }
-  return nearest;
-}
+
+ private:
+  std::vector<std::array<float, 3>> unit_;
+};
 
 // Points at one angle are as good as each other: the angles must agree to float precision.
 void RequireAgreement(const Scene& scene, const std::vector<int>& found, const char* what) {
-  const std::vector<int> ours = Ours(scene);
+  const std::vector<int> ours = Ours(scene).Nearest(scene.directions);
   int differences = 0;
   for (std::size_t i = 0; i < ours.size(); ++i) {
     const auto angle_rad = [&](int point) {
@@ -131,23 +153,34 @@ void RequireAgreement(const Scene& scene, const std::vector<int>& found, const c
   Require(differences == 0, what);
 }
 
-void Run(benchmark::State& state, const Scene& scene, std::vector<int> (*method)(const Scene&)) {
-  for (auto _ : state) benchmark::DoNotOptimize(method(scene));
-  state.SetItemsProcessed(static_cast<std::int64_t>(state.iterations() * scene.directions.size()));
+template <typename Method>
+void TimeIndex(const std::string& name, const std::shared_ptr<const Scene>& scene) {
+  benchmark::RegisterBenchmark(("range_index/30000/" + name).c_str(), [scene](
+                                                                          benchmark::State& state) {
+    for (auto _ : state) benchmark::DoNotOptimize(Method(*scene));
+  })->Unit(benchmark::kMillisecond);
 }
 
-void Register(const char* directions, const geometry::DirectionGrid& grid) {
+template <typename Method>
+void TimeLookup(const std::string& name, const std::shared_ptr<const Scene>& scene) {
+  const auto method = std::make_shared<const Method>(*scene);
+  benchmark::RegisterBenchmark(("range_lookup/" + name).c_str(), [scene,
+                                                                  method](benchmark::State& state) {
+    for (auto _ : state) benchmark::DoNotOptimize(method->Nearest(scene->directions));
+    state.SetItemsProcessed(
+        static_cast<std::int64_t>(state.iterations() * scene->directions.size()));
+  })->Unit(benchmark::kMillisecond);
+}
+
+void Register(const std::string& directions, const geometry::DirectionGrid& grid) {
   const auto scene = std::make_shared<const Scene>(MakeScene(grid));
-  RequireAgreement(*scene, KdTree(*scene), "the k-d tree finds other points");
-  RequireAgreement(*scene, BruteForce(*scene), "brute force finds other points");
-  const std::string group = std::string("range_lookup/") + directions + "/";
-  for (const auto& [method, run] :
-       {std::pair("ours", &Ours), {"nanoflann", &KdTree}, {"brute_force", &BruteForce}}) {
-    benchmark::RegisterBenchmark((group + method).c_str(), [scene,
-                                                            run = run](benchmark::State& state) {
-      Run(state, *scene, run);
-    })->Unit(benchmark::kMillisecond);
-  }
+  RequireAgreement(*scene, KdTree(*scene).Nearest(scene->directions),
+                   "the k-d tree finds other points");
+  RequireAgreement(*scene, BruteForce(*scene).Nearest(scene->directions),
+                   "brute force finds other points");
+  TimeLookup<Ours>(directions + "/ours", scene);
+  TimeLookup<KdTree>(directions + "/nanoflann", scene);
+  TimeLookup<BruteForce>(directions + "/brute_force", scene);
 }
 
 }  // namespace
@@ -157,8 +190,12 @@ int main(int argc, char** argv) {
   using soundmap::acoustics::AcousticsConfig;
   benchmark::Initialize(&argc, argv);
   if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
-  soundmap::benchmarks::Register("paper_4636", AcousticsConfig::Paper().MakeGrid());
-  soundmap::benchmarks::Register("default_10312", AcousticsConfig::Default().MakeGrid());
+  using namespace soundmap::benchmarks;
+  const auto scene = std::make_shared<const Scene>(MakeScene(AcousticsConfig::Paper().MakeGrid()));
+  TimeIndex<Ours>("ours", scene);
+  TimeIndex<KdTree>("nanoflann", scene);
+  Register("paper_4636", AcousticsConfig::Paper().MakeGrid());
+  Register("default_10312", AcousticsConfig::Default().MakeGrid());
   benchmark::RunSpecifiedBenchmarks();
   return 0;
 }

@@ -110,6 +110,29 @@ TEST(RangeIndex, FindsWhatBruteForceFindsAmongRingsAndClusters) {
   ExpectAsBruteForce(points, origin, 3.0, directions);
 }
 
+// Where cells by elevation and azimuth come to an end.
+TEST(RangeIndex, FindsWhatBruteForceFindsAroundTheAxes) {
+  std::mt19937_64 random(3);
+  std::uniform_real_distribution<double> range_m(0.2, 30.0);
+  for (const int count : {20, 400, 3000}) {
+    std::vector<Eigen::Vector3f> points;
+    std::vector<Eigen::Vector3d> directions;
+    const Eigen::Vector3d origin(0.2, -0.1, 1.1);
+    for (int i = 0; i < count; ++i) {
+      Eigen::Vector3d axis = Eigen::Vector3d::Zero();
+      axis[i % 3] = i % 2 == 0 ? 1.0 : -1.0;
+      const auto near_axis = [&](double spread) {
+        return (axis + spread * RandomDirection(random)).normalized();
+      };
+      points.push_back((origin + range_m(random) * near_axis(0.1)).cast<float>());
+      if (i < 600) directions.push_back(near_axis(i % 5 == 0 ? 1e-3 : 0.12));
+    }
+    for (const double max_angle_deg : {1.0, 8.0, 45.0}) {
+      ExpectAsBruteForce(points, origin, max_angle_deg, directions);
+    }
+  }
+}
+
 TEST(RangeIndex, OfEqualPointsTheFirstWins) {
   const Eigen::Vector3f point(2.0f, 1.0f, 0.5f);
   std::vector<Eigen::Vector3f> points(50, Eigen::Vector3f(-1.0f, -1.0f, 0.0f));
@@ -118,6 +141,15 @@ TEST(RangeIndex, OfEqualPointsTheFirstWins) {
   const auto hit = index.Nearest(point.cast<double>().normalized());
   ASSERT_TRUE(hit.has_value());
   EXPECT_EQ(hit->point, 7);
+}
+
+// The differences are lost where a float of 0.01 is.
+TEST(RangeIndex, TellsDirectionsApartThatFloatsCannot) {
+  const std::vector<Eigen::Vector3f> points = {{1.0f, 0.0f, -0.01f}, {1.0f, 0.0f, 0.01f}};
+  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
+  EXPECT_EQ(index.Nearest(Eigen::Vector3d(1.0, 0.0, -1e-11))->point, 0);
+  EXPECT_EQ(index.Nearest(Eigen::Vector3d(1.0, 0.0, 1e-11))->point, 1);
+  EXPECT_EQ(index.Nearest(Eigen::Vector3d(1.0, 0.0, 0.0))->point, 0);
 }
 
 // Two points in one direction, one behind the other: only the order counts, not the range.
