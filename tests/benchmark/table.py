@@ -11,10 +11,12 @@ medians over the repetitions, times are CPU times.
 import argparse
 import json
 import pathlib
+import re
 import sys
 
 ALLOWED_LOSS = 0.25  # of a ratio: what a change of machine or a noisy neighbour may cost
-GROWTH = "growth"  # groups whose name begins so are plotted, see plot.py
+# Groups that are plotted, see plot.py: growth_WHAT, or CURVE_by_WHAT.
+GROWTH = re.compile(r"(?:growth|(?P<curve>\w+)_by)_(?P<what>\w+)/(?P<number>\d+)")
 NOT_COUNTERS = {
     "name", "family_index", "per_family_instance_index", "run_name", "run_type", "repetitions",
     "threads", "aggregate_name", "aggregate_unit", "iterations", "real_time", "cpu_time",
@@ -85,7 +87,7 @@ def markdown(groups):
     ratio_of = ratios(groups)
     rows = [("what", "method", "median", "ours is faster by"), ("---",) * 4]
     for group, methods in groups.items():
-        if group.startswith(GROWTH):
+        if GROWTH.fullmatch(group):
             continue
         order = sorted(methods, key=lambda method: (method != "ours", in_ms(methods[method])))
         for method in order:
