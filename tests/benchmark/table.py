@@ -121,6 +121,11 @@ def server_rows(server):
                      f"{two['robots_by_wall']:.1f}; {two['speed_up']:.2f}"))
     stages = sorted(full["ms_per_robot_second"].items(), key=lambda stage: -stage[1])
     total = sum(ms for _, ms in stages)
+    # Amdahl: the writer of a site's map is one at a time; of the commit, encoding is not, so that this is a bound.
+    serial = sum(ms for stage, ms in stages if stage in ("commit", "map")) / total
+    model = [full["robots_per_core"] / (serial + (1.0 - serial) / cores) for cores in (2, 8, 64)]
+    rows.append((f"robots on 2, 8, 64 cores by Amdahl, all at one site, of whose work {100 * serial:.0f} % is one at a time",
+                 ", ".join(f"{robots:.0f}" for robots in model)))
     split = [("stage", "ms of a core per robot and second", "share"), ("---",) * 3]
     split += [(name, f"{ms:.2f}", f"{100 * ms / total:.1f} %") for name, ms in stages]
     split.append(("all", f"{total:.2f}", ""))

@@ -62,6 +62,9 @@ class Table(InAFolder):
         self.assertIn("2.50", page)
         self.assertIn("50.0 (49.0 to 52.0)", page)
         self.assertRegex(page, r"\| map +\| 5\.00 +\| 25\.0 %")
+        # 1 / (0.25 + 0.75 / n) times 50.
+        self.assertIn("of whose work 25 % is one at a time", page)
+        self.assertIn("80, 145, 191", page)
 
     def test_a_run_is_kept_between_its_marks(self):
         run = self.folder_of("run", a=document(a__ours=2.0, a__peer=5.0), server=SERVER)
