@@ -3,7 +3,8 @@
 
 usage: plot.py RUN OUT.svg
 
-A benchmark growth_WHAT/METHOD/NUMBER is a point of the curve METHOD in the panel WHAT; the growth of robots is what
+A benchmark growth_WHAT/METHOD/NUMBER is a point of the curve METHOD in the panel WHAT, CURVE_by_WHAT/ours/NUMBER one of
+the curve CURVE; the growth of robots is what
 server.py measured.
 """
 import argparse
@@ -28,11 +29,13 @@ def curves(documents):
             panels.setdefault("robots", {}).setdefault("whole server", []).append(
                 (point["robots"], sum(point["ms_per_robot_second"].values())))
     for group, methods in table.medians(documents).items():
-        what, _, number = group.removeprefix(table.GROWTH + "_").partition("/")
-        if not group.startswith(table.GROWTH) or not number.isdigit():
+        growth = table.GROWTH.fullmatch(group)
+        if not growth:
             continue
         for method, entry in methods.items():
-            panels.setdefault(what, {}).setdefault(method, []).append((int(number), table.in_ms(entry)))
+            curve = method if growth["curve"] is None or method != "ours" else growth["curve"]
+            panels.setdefault(growth["what"], {}).setdefault(curve, []).append(
+                (int(growth["number"]), table.in_ms(entry)))
     return {what: {method: sorted(points) for method, points in methods.items()} for what, methods in panels.items()}
 
 

@@ -11,10 +11,12 @@ medians over the repetitions, times are CPU times.
 import argparse
 import json
 import pathlib
+import re
 import sys
 
 ALLOWED_LOSS = 0.25  # of a ratio: what a change of machine or a noisy neighbour may cost
-GROWTH = "growth"  # groups whose name begins so are plotted, see plot.py
+# Groups that are plotted, see plot.py: growth_WHAT, or CURVE_by_WHAT.
+GROWTH = re.compile(r"(?:growth|(?P<curve>\w+)_by)_(?P<what>\w+)/(?P<number>\d+)")
 NOT_COUNTERS = {
     "name", "family_index", "per_family_instance_index", "run_name", "run_type", "repetitions",
     "threads", "aggregate_name", "aggregate_unit", "iterations", "real_time", "cpu_time",
@@ -85,7 +87,7 @@ def markdown(groups):
     ratio_of = ratios(groups)
     rows = [("what", "method", "median", "ours is faster by"), ("---",) * 4]
     for group, methods in groups.items():
-        if group.startswith(GROWTH):
+        if GROWTH.fullmatch(group):
             continue
         order = sorted(methods, key=lambda method: (method != "ours", in_ms(methods[method])))
         for method in order:
@@ -119,6 +121,11 @@ def server_rows(server):
                      f"{two['robots_by_wall']:.1f}; {two['speed_up']:.2f}"))
     stages = sorted(full["ms_per_robot_second"].items(), key=lambda stage: -stage[1])
     total = sum(ms for _, ms in stages)
+    # Amdahl: the writer of a site's map is one at a time; of the commit, encoding is not, so that this is a bound.
+    serial = sum(ms for stage, ms in stages if stage in ("commit", "map")) / total
+    model = [full["robots_per_core"] / (serial + (1.0 - serial) / cores) for cores in (2, 8, 64)]
+    rows.append((f"robots on 2, 8, 64 cores by Amdahl, all at one site, of whose work {100 * serial:.0f} % is one at a time",
+                 ", ".join(f"{robots:.0f}" for robots in model)))
     split = [("stage", "ms of a core per robot and second", "share"), ("---",) * 3]
     split += [(name, f"{ms:.2f}", f"{100 * ms / total:.1f} %") for name, ms in stages]
     split.append(("all", f"{total:.2f}", ""))

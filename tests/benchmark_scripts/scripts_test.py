@@ -62,6 +62,9 @@ class Table(InAFolder):
         self.assertIn("2.50", page)
         self.assertIn("50.0 (49.0 to 52.0)", page)
         self.assertRegex(page, r"\| map +\| 5\.00 +\| 25\.0 %")
+        # 1 / (0.25 + 0.75 / n) times 50.
+        self.assertIn("of whose work 25 % is one at a time", page)
+        self.assertIn("80, 145, 191", page)
 
     def test_a_run_is_kept_between_its_marks(self):
         run = self.folder_of("run", a=document(a__ours=2.0, a__peer=5.0), server=SERVER)
@@ -77,12 +80,14 @@ class Table(InAFolder):
 
 class Plot(InAFolder):
     RUN = {"a": document(a__ours=2.0, a__peer=5.0),
-           "g": document(growth_voxels__update__1000=3.0, growth_voxels__update__100=1.0, growth_voxels__query__100=2.0),
+           "g": document(growth_voxels__update__1000=3.0, growth_voxels__update__100=1.0, growth_voxels__query__100=2.0,
+                         audio_scan_by_microphones__ours__16=4.0),
            "server": {**SERVER, "growth_robots": [{"robots": 4, "ms_per_robot_second": {"map": 5.0, "other": 10.0}}]}}
 
     def test_curves_by_what_grows(self):
         self.assertEqual(plot.curves(self.RUN), {"robots": {"whole server": [(4, 15.0)]},
-                                                 "voxels": {"update": [(100, 1.0), (1000, 3.0)], "query": [(100, 2.0)]}})
+                                                 "voxels": {"update": [(100, 1.0), (1000, 3.0)], "query": [(100, 2.0)]},
+                                                 "microphones": {"audio_scan": [(16, 4.0)]}})
 
     def test_the_same_figures_give_the_same_picture(self):
         folder = self.folder_of("run", **self.RUN)
@@ -186,9 +191,10 @@ class Check(InAFolder):
 
     def test_growth_is_not_judged(self):
         self.program(a__ours=[2.0], a__peer=[5.0])
-        kept = {"a__ours": 2.0, "a__peer": 5.0, "growth_x__ours": 1.0, "growth_x__peer": 100.0}
+        kept = {"a__ours": 2.0, "a__peer": 5.0, "growth_x__ours__4": 1.0, "growth_x__peer__4": 100.0,
+                "scan_by_x__ours__4": 1.0, "scan_by_x__peer__4": 9.0, "inner_loop_of_y__ours": 1.0, "inner_loop_of_y__plain": 9.0}
         self.assertEqual(self.check(**kept).returncode, 0)
-        self.assertNotIn("growth", (self.folder / "a_benchmark.filter").read_text())
+        self.assertEqual((self.folder / "a_benchmark.filter").read_text(), "^(a/ours|a/peer)$")
 
 
 class Server(unittest.TestCase):
