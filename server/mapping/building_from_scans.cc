@@ -14,8 +14,6 @@ namespace {
 
 using Eigen::Isometry3d;
 
-// One point in each cube of this size, in surface voxels, is enough to align a scan.
-constexpr double kAlignedPoints_voxels = 0.75;
 constexpr double kPrior_m = 0.03;
 constexpr double kPrior_rad = 0.02;
 // A building's surfaces weigh as many scans.
@@ -93,12 +91,13 @@ absl::Status RelaxScans(std::vector<KeyScan>& scans, std::span<const Eigen::Vect
     std::vector<Isometry3d> aligned;
     double residual_sum_m = 0.0;
     for (const KeyScan& scan : scans) {
+      const AlignedPoints points = PointsToAlign(scan.point_in_base, surface_voxel_size_m);
       const SearchRange range{.start_distance_m = surface_voxel_size_m,
                               .prior_std_m = kPrior_m,
-                              .prior_std_rad = kPrior_rad};
+                              .prior_std_rad = kPrior_rad,
+                              .point_weight = points.stands_for};
       const Registration registration =
-          Register(ThinPoints(scan.point_in_base, kAlignedPoints_voxels * surface_voxel_size_m),
-                   surfaces, scan.map_from_base, range);
+          Register(points.points, surfaces, scan.map_from_base, range);
       aligned.push_back(registration.map_from_base);
       residual_sum_m += registration.mean_residual_m;
       const double done =

@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "geometry/angles.h"
-#include "mapping/point_thinning.h"
 
 namespace soundmap::mapping {
 namespace {
@@ -13,9 +12,6 @@ namespace {
 using Eigen::Isometry3d;
 using frames::TimeNs;
 using geometry::Pose2;
-
-// One point in each cube of this size, in surface voxels, is enough to align a scan.
-constexpr double kAlignedPoints_voxels = 0.75;
 
 // Below this a registration is not believed.
 constexpr int kMinInliers = 30;
@@ -70,13 +66,12 @@ void DriveRegistration::Add(const PreparedScan& scan, const ScanPreparation& pre
   std::optional<Registration> registration;
   bool placed = true;
   if (config_.align && local_map_.size() > 0) {
-    const std::vector<Eigen::Vector3f> aligned =
-        ThinPoints(scan.point_in_base, kAlignedPoints_voxels * config_.surface_voxel_size_m);
+    const AlignedPoints aligned = PointsToAlign(scan.point_in_base, config_.surface_voxel_size_m);
     registration = Align(aligned, predicted, scan.stamp_ns);
     if (registration->inliers >= kMinInliers && registration->fit() >= kMinFit) {
       map_from_base = registration->map_from_base;
       const double share =
-          static_cast<double>(registration->inliers) / static_cast<double>(aligned.size());
+          static_cast<double>(registration->inliers) / static_cast<double>(aligned.points.size());
       seen_share_ += kShareGain * (share - seen_share_);
       anchor = NearestLocalScan(map_from_base);
     } else {
@@ -110,8 +105,8 @@ DriveRegistration::Prediction DriveRegistration::Predict(const PreparedScan& sca
   return {sound ? map_from_last * last_from_base : map_from_last, sound};
 }
 
-Registration DriveRegistration::Align(std::span<const Eigen::Vector3f> point_in_base,
-                                      const Prediction& predicted, TimeNs stamp_ns) const {
+Registration DriveRegistration::Align(const AlignedPoints& aligned, const Prediction& predicted,
+                                      TimeNs stamp_ns) const {
   const PathEntry& last = path.back();
   const Pose2 map_from_last = geometry::ProjectToFloor(PoseOf(last));
   const double step_m = Distance(predicted.map_from_base, map_from_last);
@@ -119,9 +114,10 @@ Registration DriveRegistration::Align(std::span<const Eigen::Vector3f> point_in_
       std::abs(geometry::NormalizeAngle(predicted.map_from_base.yaw_rad - map_from_last.yaw_rad));
   const SearchRange near{.start_distance_m = 0.3,
                          .prior_std_m = kPriorMin_m + kPriorOfStep * step_m,
-                         .prior_std_rad = kPriorMin_rad + kPriorOfStep * step_rad};
+                         .prior_std_rad = kPriorMin_rad + kPriorOfStep * step_rad,
+                         .point_weight = aligned.stands_for};
   Registration best =
-      Register(point_in_base, local_map_, predicted.map_from_base.ToIsometry(), near);
+      Register(aligned.points, local_map_, predicted.map_from_base.ToIsometry(), near);
   // The odometry may have slipped or jumped: look from where the robot would be if it had stood or
   // gone on as before.
   std::vector<Pose2> starts = {map_from_last};
@@ -137,19 +133,21 @@ Registration DriveRegistration::Align(std::span<const Eigen::Vector3f> point_in_
   // Walls across the way, which would tell, are out of reach where the robot has slipped far: then
   // fewer points than before lie on any.
   const bool less = static_cast<double>(best.inliers) <
-                    kGoodShare * seen_share_ * static_cast<double>(point_in_base.size());
+                    kGoodShare * seen_share_ * static_cast<double>(aligned.points.size());
   if (less) {
     for (const Pose2& start : starts) {
-      const Registration other = Register(point_in_base, local_map_, start.ToIsometry(), near);
+      const Registration other = Register(aligned.points, local_map_, start.ToIsometry(), near);
       if (other.inliers > kBetter * best.inliers) best = other;
     }
   }
   if (!predicted.odometry_is_sound || best.fit() < kGoodFit || best.overlap < kGoodOverlap) {
-    const SearchRange wide{
-        .start_distance_m = kWideSearch_m, .prior_std_m = 0.5, .prior_std_rad = 0.2};
+    const SearchRange wide{.start_distance_m = kWideSearch_m,
+                           .prior_std_m = 0.5,
+                           .prior_std_rad = 0.2,
+                           .point_weight = aligned.stands_for};
     starts.push_back(predicted.map_from_base);
     for (const Pose2& start : starts) {
-      const Registration other = Register(point_in_base, local_map_, start.ToIsometry(), wide);
+      const Registration other = Register(aligned.points, local_map_, start.ToIsometry(), wide);
       if (other.inliers > kMuchBetter * best.inliers) best = other;
     }
   }

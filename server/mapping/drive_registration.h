@@ -7,6 +7,7 @@
 #include "geometry/voxel_key.h"
 #include "mapping/key_scan_graph.h"
 #include "mapping/loop_closing.h"
+#include "mapping/point_thinning.h"
 #include "mapping/registration.h"
 #include "mapping/scan_preparation.h"
 #include "mapping/surface_map.h"
@@ -59,7 +60,7 @@ class DriveRegistration {
   };
 
   Prediction Predict(const PreparedScan& scan, const ScanPreparation& preparation) const;
-  Registration Align(std::span<const Eigen::Vector3f> point_in_base, const Prediction& predicted,
+  Registration Align(const AlignedPoints& aligned, const Prediction& predicted,
                      frames::TimeNs stamp_ns) const;
   bool IsKeyScan(const PreparedScan& scan, const Eigen::Isometry3d& map_from_base) const;
   bool TakePlace(const Eigen::Isometry3d& map_from_base);

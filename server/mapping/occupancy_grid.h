@@ -32,7 +32,7 @@ struct OccupancyConfig {
   double miss_log_odds = -0.4;
   double min_log_odds = -2.0;
   double max_log_odds = 3.5;
-  int max_blocks = 1 << 20;  // of 8^3 voxels and 2 KiB each
+  int max_blocks = 1 << 20;  // of 8^3 voxels and 1.3 KiB each
 
   absl::Status Validate() const;
 };
@@ -60,18 +60,20 @@ class OccupancyGrid {
   struct Block;
 
   Block* BlockAt(int x, int y, int z);
-  void Update(Block& block, int x, int y, int z, int change);
+  Block* Touch(int x, int y, int z);
+  absl::Status MarkScan(std::span<const Ray> rays);
   bool CastFree(const Ray& ray);
+  void CountMarks();
   bool IsSpeckle(const Block& block, int x, int y, int z) const;
   absl::Status Full() const;
 
   double voxel_size_m_;
   int hit_, miss_, min_, max_;  // log-odds in steps of 1e-3
   std::size_t max_blocks_;
-  std::uint16_t scan_ = 0;
   boost::unordered_flat_map<geometry::VoxelKey, std::uint32_t, std::hash<geometry::VoxelKey>>
       block_index_;  // by key / 8
   std::vector<std::unique_ptr<Block>> blocks_;
+  std::vector<Block*> touched_;  // by the present scan
 };
 
 }  // namespace soundmap::mapping

@@ -5,6 +5,14 @@
 #include "geometry/voxel_key.h"
 
 namespace soundmap::mapping {
+namespace {
+
+// One point in each cube of this size, in surface voxels, is enough to align a scan; and of more
+// than this many the surfaces err together, not the points one by one.
+constexpr double kAlignedPoints_voxels = 0.75;
+constexpr std::size_t kMaxAlignedPoints = 2000;
+
+}  // namespace
 
 std::vector<std::uint32_t> FirstPointPerCube(std::span<const Eigen::Vector3f> points,
                                              double cube_size_m) {
@@ -25,6 +33,18 @@ std::vector<Eigen::Vector3f> ThinPoints(std::span<const Eigen::Vector3f> points,
     thinned.push_back(points[i]);
   }
   return thinned;
+}
+
+AlignedPoints PointsToAlign(std::span<const Eigen::Vector3f> points, double surface_voxel_size_m) {
+  AlignedPoints aligned{ThinPoints(points, kAlignedPoints_voxels * surface_voxel_size_m)};
+  std::vector<Eigen::Vector3f>& chosen = aligned.points;
+  const std::size_t stride = (chosen.size() + kMaxAlignedPoints - 1) / kMaxAlignedPoints;
+  if (stride <= 1) return aligned;
+  const std::size_t all = chosen.size();
+  for (std::size_t i = 0; i * stride < all; ++i) chosen[i] = chosen[i * stride];
+  chosen.resize((all + stride - 1) / stride);
+  aligned.stands_for = static_cast<double>(all) / static_cast<double>(chosen.size());
+  return aligned;
 }
 
 }  // namespace soundmap::mapping

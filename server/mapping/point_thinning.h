@@ -16,4 +16,14 @@ std::vector<std::uint32_t> FirstPointPerCube(std::span<const Eigen::Vector3f> po
 std::vector<Eigen::Vector3f> ThinPoints(std::span<const Eigen::Vector3f> points,
                                         double cube_size_m);
 
+// Points of a scan to align it by.
+struct AlignedPoints {
+  std::vector<Eigen::Vector3f> points;
+  double stands_for = 1.0;  // so many points each
+};
+
+// One point in each cube of a part of the surfaces' voxel size, and of these, evenly over their
+// order, no more than are needed.
+AlignedPoints PointsToAlign(std::span<const Eigen::Vector3f> points, double surface_voxel_size_m);
+
 }  // namespace soundmap::mapping

@@ -14,7 +14,7 @@ using Matrix6 = Eigen::Matrix<double, 6, 6>;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 
 constexpr int kMaxIterations = 25;
-constexpr double kDistanceShrink = 0.7;
+constexpr double kDistanceShrink = 0.5;
 constexpr double kConverged_m = 3e-4;
 constexpr double kConverged_rad = 5e-5;
 
@@ -42,7 +42,15 @@ constexpr double kGoodOverlap = 0.5;
 // Points a voxel that are enough to align a scan.
 constexpr double kPoints_voxels = 0.75;
 
+// Points find their surfels anew when the pose has moved by so much, with what turns move a point
+// so far away.
+constexpr double kRematch_voxels = 0.05;
+constexpr double kLever_m = 5.0;
+
 struct Constraint {
+  Eigen::Vector3f point_in_base;
+  Eigen::Vector3f normal;  // of the surfel's plane, and its offset
+  float offset_m;
   // Change of the residual with (x, y, z, rx, ry, rz), in map axes about the base.
   Eigen::Matrix<float, 6, 1> jacobian;
   float residual_m;
@@ -53,6 +61,17 @@ struct Correspondences {
   std::vector<Constraint> constraints;
   int near = 0;  // points with a surfel
 };
+
+// Residuals and Jacobians at another pose, with the same surfels.
+void Follow(const Eigen::Isometry3d& map_from_base, Correspondences& found) {
+  const Eigen::Matrix3f rotation = map_from_base.linear().cast<float>();
+  const Eigen::Vector3f place = map_from_base.translation().cast<float>();
+  for (Constraint& constraint : found.constraints) {
+    const Eigen::Vector3f arm = rotation * constraint.point_in_base;
+    constraint.jacobian << constraint.normal, arm.cross(constraint.normal);
+    constraint.residual_m = constraint.normal.dot(place + arm) - constraint.offset_m;
+  }
+}
 
 void Match(std::span<const Eigen::Vector3f> point_in_base, const SurfaceMap& map,
            const Eigen::Isometry3d& map_from_base, double max_distance_m, Correspondences& result) {
@@ -68,10 +87,12 @@ void Match(std::span<const Eigen::Vector3f> point_in_base, const SurfaceMap& map
     ++result.near;
     if (!surfel->has_plane()) continue;
     Constraint& constraint = result.constraints.emplace_back();
-    constraint.jacobian << surfel->normal, arm.cross(surfel->normal);
-    constraint.residual_m = surfel->normal.dot(in_map) - surfel->offset_m;
+    constraint.point_in_base = point;
+    constraint.normal = surfel->normal;
+    constraint.offset_m = surfel->offset_m;
     constraint.steep = std::abs(surfel->normal.z()) <= kMaxVerticalNormal;
   }
+  Follow(map_from_base, result);
 }
 
 double KernelWidth(const std::vector<Constraint>& constraints, double voxel_size_m) {
@@ -91,13 +112,15 @@ struct NormalEquations {
   Vector6 gradient = Vector6::Zero();
 };
 
-NormalEquations Sum(const std::vector<Constraint>& constraints, double voxel_size_m) {
+NormalEquations Sum(const std::vector<Constraint>& constraints, double voxel_size_m,
+                    double point_weight) {
   NormalEquations sum;
   if (constraints.empty()) return sum;
   const double kernel_m = KernelWidth(constraints, voxel_size_m);
   for (const Constraint& constraint : constraints) {
     const double relative = constraint.residual_m / kernel_m;
-    const double weight = 1.0 / ((1.0 + relative * relative) * kResidualStd_m * kResidualStd_m);
+    const double weight =
+        point_weight / ((1.0 + relative * relative) * kResidualStd_m * kResidualStd_m);
     const Vector6 jacobian = constraint.jacobian.cast<double>();
     const Vector6 weighted = weight * jacobian;
     sum.information.noalias() += weighted * jacobian.transpose();
@@ -134,9 +157,21 @@ Registration Register(std::span<const Eigen::Vector3f> point_in_base, const Surf
   Eigen::Isometry3d pose = start_map_from_base;
   double distance_m = std::max(range.start_distance_m, end_distance_m);
   Correspondences found;
+  double matched_distance_m = 2.0 * distance_m;
+  double moved_m = 0.0;  // since the last match
+  // While the pose hardly moves, the points keep their surfels.
+  const auto match_or_follow = [&] {
+    if (distance_m < matched_distance_m || moved_m > kRematch_voxels * voxel_m) {
+      Match(point_in_base, map, pose, distance_m, found);
+      matched_distance_m = distance_m;
+      moved_m = 0.0;
+    } else {
+      Follow(pose, found);
+    }
+  };
   for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
-    Match(point_in_base, map, pose, distance_m, found);
-    NormalEquations sum = Sum(found.constraints, voxel_m);
+    match_or_follow();
+    NormalEquations sum = Sum(found.constraints, voxel_m, range.point_weight);
     Vector6 from_start;
     from_start << pose.translation() - start_map_from_base.translation(),
         TurnOf(pose.linear() * start_map_from_base.linear().transpose());
@@ -145,14 +180,17 @@ Registration Register(std::span<const Eigen::Vector3f> point_in_base, const Surf
     const Vector6 step = -sum.information.ldlt().solve(sum.gradient);
     pose.translation() += step.head<3>();
     pose.linear() = Rotation(step.tail<3>()) * pose.linear();
-    const bool still =
-        step.head<3>().norm() < kConverged_m && step.tail<3>().norm() < kConverged_rad;
+    const double step_m = step.head<3>().norm();
+    const double step_rad = step.tail<3>().norm();
+    moved_m += step_m + step_rad * kLever_m;
+    const bool still = step_m < kConverged_m && step_rad < kConverged_rad;
     if (still && distance_m <= end_distance_m) break;
     distance_m = std::max(distance_m * kDistanceShrink, end_distance_m);
   }
 
   Registration result;
-  Match(point_in_base, map, pose, end_distance_m, found);
+  distance_m = end_distance_m;
+  match_or_follow();
   double sum_m = 0.0;
   for (const Constraint& constraint : found.constraints) {
     if (!constraint.steep) continue;
@@ -169,7 +207,8 @@ Registration Register(std::span<const Eigen::Vector3f> point_in_base, const Surf
   map_axes_from_base.topLeftCorner<3, 3>() = map_axes_from_base.bottomRightCorner<3, 3>() =
       pose.linear();
   result.information = map_axes_from_base.transpose() *
-                       Sum(found.constraints, voxel_m).information * map_axes_from_base;
+                       Sum(found.constraints, voxel_m, range.point_weight).information *
+                       map_axes_from_base;
   result.information = 0.5 * (result.information + result.information.transpose()).eval();
   pose.linear() = Eigen::Quaterniond(pose.linear()).normalized().toRotationMatrix();
   result.map_from_base = pose;

@@ -17,6 +17,8 @@ struct SearchRange {
   // for what the floor is uneven.
   double prior_std_z_m = 0.02;
   double prior_std_tilt_rad = 0.01;
+  // How many points of the scan each of those given stands for: its weight against the prior.
+  double point_weight = 1.0;
 };
 
 struct Registration {

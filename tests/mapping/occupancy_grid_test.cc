@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <octomap/OcTree.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -182,6 +183,39 @@ TEST(OccupancyConfig, IsValidated) {
   EXPECT_FALSE(OccupancyConfig{.min_log_odds = std::nan("")}.Validate().ok());
   EXPECT_FALSE(OccupancyConfig{.max_log_odds = 1e9}.Validate().ok());
   EXPECT_FALSE(OccupancyConfig{.max_blocks = 0}.Validate().ok());
+}
+
+// A scan leaves out little of what its rays pass through one by one, and nothing else becomes
+// known.
+TEST(OccupancyGrid, RaysThatRunTogetherMarkTheWayOnce) {
+  std::vector<Ray> rays;
+  for (int column = 0; column < 360; ++column) {
+    for (int ring = -10; ring <= 10; ++ring) {
+      const float azimuth_rad = static_cast<float>(column) * 0.0174533f;
+      const float elevation_rad = static_cast<float>(ring) * 0.0349f;
+      const Eigen::Vector3f direction(std::cos(elevation_rad) * std::cos(azimuth_rad),
+                                      std::cos(elevation_rad) * std::sin(azimuth_rad),
+                                      std::sin(elevation_rad));
+      rays.push_back({{0.013f, 0.021f, 0.017f}, 3.0f * direction});
+    }
+  }
+  const auto known = [](const octomap::OcTree& octree) {
+    octomap::OcTree leaves(octree);
+    leaves.expand();
+    std::set<VoxelKey> keys;
+    for (auto leaf = leaves.begin_leafs(); leaf != leaves.end_leafs(); ++leaf) {
+      keys.insert({leaf.getKey()[0], leaf.getKey()[1], leaf.getKey()[2]});
+    }
+    return keys;
+  };
+  OccupancyGrid together(kVoxel_m, {}), alone(kVoxel_m, {});
+  ASSERT_TRUE(together.InsertScan(rays).ok());
+  for (const Ray& ray : rays) ASSERT_TRUE(alone.InsertScan(std::vector<Ray>{ray}).ok());
+  const std::set<VoxelKey> found = known(*together.ToOctree());
+  const std::set<VoxelKey> all = known(*alone.ToOctree());
+  EXPECT_GT(all.size(), 50000u);
+  EXPECT_TRUE(std::includes(all.begin(), all.end(), found.begin(), found.end()));
+  EXPECT_GT(static_cast<double>(found.size()), 0.85 * static_cast<double>(all.size()));
 }
 
 }  // namespace

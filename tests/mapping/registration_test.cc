@@ -201,5 +201,23 @@ TEST(FirstPointPerCube, KeepsOnePointOfEachCubeInOrder) {
   EXPECT_EQ(FirstPointPerCube(points, 0.05), (std::vector<std::uint32_t>{0, 2, 4, 7}));
 }
 
+TEST(PointsToAlign, StandForThoseLeftOut) {
+  std::vector<Eigen::Vector3f> points;
+  for (int i = 0; i < 100 * 100; ++i) {
+    points.emplace_back(static_cast<float>(i % 100), static_cast<float>(i / 100), 0.1f);
+  }
+  const AlignedPoints few = PointsToAlign(std::span(points).first(500), 0.2);
+  EXPECT_EQ(few.points.size(), 500u);
+  EXPECT_EQ(few.stands_for, 1.0);
+  const AlignedPoints many = PointsToAlign(points, 0.2);
+  EXPECT_LE(many.points.size(), 2000u);
+  EXPECT_GT(many.points.size(), 1000u);
+  EXPECT_DOUBLE_EQ(many.stands_for * static_cast<double>(many.points.size()), 10000.0);
+  // From all parts of the scan.
+  int last_quarter = 0;
+  for (const Eigen::Vector3f& point : many.points) last_quarter += point.y() >= 75.0f;
+  EXPECT_NEAR(last_quarter, static_cast<double>(many.points.size()) / 4.0, 2.0);
+}
+
 }  // namespace
 }  // namespace soundmap::mapping
