@@ -53,47 +53,56 @@ struct FloorPlanReport {
   // Without returns in range, without odometry, not newer than the one before, or outside the
   // surveyed poses.
   int scans_dropped = 0;
-  int scans_unregistered = 0;     // did not fit what was mapped; by odometry alone
-  int key_scans = 0;              // kept
-  int loops_closed = 0;           // stretches found at an earlier one
-  int loops_refused = 0;          // of those found, as contradicting the others
-  double laser_lag_s = 0.0;       // in use at the end
-  double mean_residual_m = 0.0;   // of the key scans' points to the walls; 0 with surveyed poses
-  double drift_removed_m = 0.0;   // between the odometry's end of the path and the corrected one
-  std::vector<StampedPose> path;  // of every scan that was used, at the middle of its sweep
+  int scans_unregistered = 0;    // did not fit what was mapped; by odometry alone
+  int key_scans = 0;             // kept
+  int loops_closed = 0;          // stretches found at an earlier one
+  int loops_refused = 0;         // of those found, as contradicting the others
+  double laser_lag_s = 0.0;      // in use at the end; of several drives that of the first
+  double mean_residual_m = 0.0;  // of the key scans' points to the walls; 0 with surveyed poses
+  // Between the odometry's end of the path and the corrected one; of several drives the largest.
+  double drift_removed_m = 0.0;
+  // Of every scan that was used, at the middle of its sweep; drive after drive.
+  std::vector<StampedPose> path;
+  std::vector<std::size_t> drive_begin;  // where each drive's part of the path begins
 };
 
 struct FloorPlanResult {
-  building::Building building;  // without an octree
+  building::Building building;  // without an octree, but that of one that was extended
   FloorPlanReport report;
 };
 
-// Makes the floor plan of section II-A from a drive with an LRF and odometry alone, fed frame by
-// frame in the order of the drive. Each scan is aligned to the walls of the last metres; Finish()
-// looks for stretches of the way at places seen before, closes these loops in a pose graph, relaxes
-// all kept scans against each other and casts their rays. Times of the path and of surveyed poses
-// are those of the scans. Deterministic. Memory is bounded by the building, except 80 bytes of path
-// a scan. One thread at a time.
+// Makes the floor plan of section II-A from drives with an LRF and odometry alone, fed frame by
+// frame in the order of each drive. Each scan is aligned to the walls of the last metres; Finish()
+// finds where the drives lie in each other, looks for stretches of the way at places seen before,
+// closes these loops in a pose graph, relaxes all kept scans against each other and casts their
+// rays. Times of the path and of surveyed poses are those of the scans. Deterministic. Memory is
+// bounded by the building and the number of drives, except 80 bytes of path a scan. One thread at a
+// time.
 class FloorPlanMapper {
  public:
-  // As Mapper::Create. InvalidArgument also: the LRF is tilted by more than 10 degrees.
-  static absl::StatusOr<FloorPlanMapper> Create(const FloorPlanMapperConfig& config,
-                                                const frames::Calibration& calibration,
-                                                const geometry::Pose2& map_from_base,
-                                                std::vector<StampedPose> surveyed = {});
+  // As Mapper::Create. InvalidArgument also: the LRF is tilted by more than 10 degrees. Of a
+  // building to extend, the floor plan is extended, in its cells; an octree stays as it is.
+  static absl::StatusOr<FloorPlanMapper> Create(
+      const FloorPlanMapperConfig& config, const frames::Calibration& calibration,
+      const geometry::Pose2& map_from_base, std::vector<StampedPose> surveyed = {},
+      std::shared_ptr<const building::Building> extend = nullptr);
   FloorPlanMapper(FloorPlanMapper&&) noexcept;
   FloorPlanMapper& operator=(FloorPlanMapper&&) noexcept;
   ~FloorPlanMapper();
 
   // As Mapper's.
   absl::Status Add(const frames::Frame& frame);
+  // Among rooms that resemble each other a drive may still be placed at a wrong one, or refused
+  // where it overlaps: callers that cannot look at the result map one drive at a time.
+  absl::Status BeginDrive(const frames::Calibration& calibration,
+                          std::optional<geometry::Pose2> map_from_base);
   absl::StatusOr<FloorPlanResult> Finish(const std::function<bool(double)>& progress = {});
 
  private:
-  class Drive;
-  explicit FloorPlanMapper(std::unique_ptr<Drive> drive);
+  class Work;
+  explicit FloorPlanMapper(std::unique_ptr<Work> work);
 
-  std::unique_ptr<Drive> drive_;
+  std::unique_ptr<Work> work_;
 };
 
 }  // namespace soundmap::mapping

@@ -25,6 +25,8 @@ constexpr int kMaxCandidates = 8;
 // From a place, walls are seen again from another this far away.
 constexpr double kReach_m = 6.0;
 constexpr double kSearchCell_m = 0.1;
+// Of the walls of a map that exists, those this near are compared with.
+constexpr float kMapAround_m = 25.0f;
 constexpr float kGroupPoints_m = 0.1f;
 constexpr double kWayPerWindow = 2.0;
 constexpr int kMaxMoreStretches = 3;
@@ -80,7 +82,8 @@ class LoopCloser {
       : config_(config), key_scans_(key_scans) {
     for (std::size_t i = 0; i < key_scans_.size(); ++i) {
       by_front_end_.push_back(key_scans_[i].map_from_base);
-      if (i == 0 || key_scans_[i].way_m - key_scans_[first_.back()].way_m >= config_.stretch_m) {
+      if (i == 0 || key_scans_[i].begins_drive ||
+          key_scans_[i].way_m - key_scans_[first_.back()].way_m >= config_.stretch_m) {
         first_.push_back(i);
       }
     }
@@ -95,6 +98,7 @@ class LoopCloser {
     Eigen::Matrix3d covariance;
   };
 
+  bool IsMap(int stretch) const { return stretch == 0 && key_scans_.front().is_map; }
   int stretches() const { return static_cast<int>(first_.size()); }
   std::size_t End(int stretch) const {
     return stretch + 1 < stretches() ? first_[stretch + 1] : key_scans_.size();
@@ -177,7 +181,8 @@ std::vector<LoopCloser::Candidate> LoopCloser::Candidates(int stretch) const {
   std::vector<int> through;
   const std::vector<double> way_m = WayThroughGraph(stretch, through);
   std::vector<std::pair<double, int>> near;
-  for (int other = 0; other + kNeighbours <= stretch; ++other) {
+  if (key_scans_.front().is_map) near.emplace_back(0.0, 0);
+  for (int other = static_cast<int>(near.size()); other + kNeighbours <= stretch; ++other) {
     const double distance_m =
         (map_from_anchor_[other].translation() - map_from_anchor_[stretch].translation()).norm();
     const double search_m =
@@ -204,15 +209,27 @@ bool LoopCloser::Match(const Candidate& candidate, int later) {
   window.angle_rad =
       std::min(kAngleWindow_rad + kAngleWindowPerMetre_rad * way_m, kMaxAngleWindow_rad);
   // The wider the search, the more of the way must fit: a short stretch finds its like elsewhere.
-  const int more =
-      std::min({static_cast<int>(kWayPerWindow * window.distance_m / config_.stretch_m),
-                kMaxMoreStretches, later - earlier - kNeighbours});
-  std::vector<Eigen::Vector2f> map;
-  const int from = std::max(earlier - 1 - more, 0);
-  const int to = std::min(earlier + 1 + more, later - more - 2);
-  for (std::size_t i = first_[from]; i < End(to); ++i) {
-    Append(key_scans_[i].map_from_base, key_scans_[i].points.point_in_base, map);
+  int more = std::min(static_cast<int>(kWayPerWindow * window.distance_m / config_.stretch_m),
+                      kMaxMoreStretches);
+  if (!IsMap(earlier)) more = std::min(more, later - earlier - kNeighbours);
+  for (int before = 0; before < more; ++before) {
+    if (key_scans_[first_[later - before]].begins_drive) more = before;
   }
+  std::vector<Eigen::Vector2f> map;
+  const Pose2 start = geometry::ProjectToFloor(map_from_anchor_[later]);
+  if (IsMap(earlier)) {
+    const Eigen::Vector2f there(static_cast<float>(start.x_m), static_cast<float>(start.y_m));
+    for (const Eigen::Vector2f& point : key_scans_.front().points.point_in_base) {
+      if ((point - there).cwiseAbs().maxCoeff() <= kMapAround_m) map.push_back(point);
+    }
+  } else {
+    const int from = std::max(earlier - 1 - more, key_scans_.front().is_map ? 1 : 0);
+    const int to = std::min(earlier + 1 + more, later - more - 2);
+    for (std::size_t i = first_[from]; i < End(to); ++i) {
+      Append(key_scans_[i].map_from_base, key_scans_[i].points.point_in_base, map);
+    }
+  }
+  if (map.empty()) return false;
   LineMap lines(config_.wall_piece_m);
   lines.Insert(map);
   lines.FitLines();
@@ -225,7 +242,6 @@ bool LoopCloser::Match(const Candidate& candidate, int later) {
   in_anchor = FirstPointPerSquare(in_anchor, kGroupPoints_m);
 
   const LaserSearch search(map, kSearchCell_m);
-  const Pose2 start = geometry::ProjectToFloor(map_from_anchor_[later]);
   const auto found = search.Find(in_anchor, start, window, kMinScore);
   if (!found) return false;
   const LaserMatch match =
@@ -260,7 +276,8 @@ void LoopCloser::PlaceKeyScans() {
   for (int stretch = 0; stretch < static_cast<int>(map_from_anchor_.size()); ++stretch) {
     const std::size_t begin = first_[stretch], end = End(stretch);
     const Pose2 map_from_begin = geometry::ProjectToFloor(map_from_anchor_[stretch]);
-    const bool last = stretch + 1 == static_cast<int>(map_from_anchor_.size());
+    const bool last =
+        stretch + 1 == static_cast<int>(map_from_anchor_.size()) || key_scans_[end].begins_drive;
     for (std::size_t i = begin; i < end; ++i) {
       key_scans_[i].map_from_base =
           last ? map_from_begin * by_front_end_[begin].Inverse() * by_front_end_[i]

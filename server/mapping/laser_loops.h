@@ -21,6 +21,10 @@ struct LaserKeyScan {
   Eigen::Matrix3d step_covariance = Eigen::Matrix3d::Zero();
   // From the start of the drive; longer than the way where scans fitted nothing.
   double way_m = 0.0;
+  // The first of a drive: the step to it from the last one of another drive is how it was placed.
+  bool begins_drive = false;
+  // Not a scan but the walls of a map that exists. Only the first can be.
+  bool is_map = false;
 };
 
 struct LoopReport {
@@ -28,7 +32,8 @@ struct LoopReport {
   int loops_refused = 0;
 };
 
-// Key scans in order of the drive, each placed against the ones before it alone. Looks in order of
+// Key scans in order of the drive, or of one drive after another; each is placed against the ones
+// before it alone. Looks in order of
 // the drive for stretches at places seen before (branch and bound, then alignment), weighs what was
 // found in a robust pose graph and moves all key scans accordingly; the first stays. Cancelled when
 // `progress` (0 .. 1) returns false.
