@@ -92,10 +92,10 @@ absl::Status RelaxScans(std::vector<KeyScan>& scans, std::span<const Eigen::Vect
     double residual_sum_m = 0.0;
     for (const KeyScan& scan : scans) {
       const AlignedPoints points = PointsToAlign(scan.point_in_base, surface_voxel_size_m);
+      // Each point weighs once: surfaces that all scans have bent alike must not pull too hard.
       const SearchRange range{.start_distance_m = surface_voxel_size_m,
                               .prior_std_m = kPrior_m,
-                              .prior_std_rad = kPrior_rad,
-                              .point_weight = points.stands_for};
+                              .prior_std_rad = kPrior_rad};
       const Registration registration =
           Register(points.points, surfaces, scan.map_from_base, range);
       aligned.push_back(registration.map_from_base);

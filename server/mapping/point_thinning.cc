@@ -1,6 +1,7 @@
 #include "mapping/point_thinning.h"
 
 #include <boost/unordered/unordered_flat_set.hpp>
+#include <cmath>
 
 #include "geometry/voxel_key.h"
 
@@ -10,7 +11,8 @@ namespace {
 // One point in each cube of this size, in surface voxels, is enough to align a scan; and of more
 // than this many the surfaces err together, not the points one by one.
 constexpr double kAlignedPoints_voxels = 0.75;
-constexpr std::size_t kMaxAlignedPoints = 2000;
+constexpr std::size_t kMaxAlignedPoints = 4000;
+constexpr double kGoldenRatio = 0.6180339887498949;
 
 }  // namespace
 
@@ -38,11 +40,16 @@ std::vector<Eigen::Vector3f> ThinPoints(std::span<const Eigen::Vector3f> points,
 AlignedPoints PointsToAlign(std::span<const Eigen::Vector3f> points, double surface_voxel_size_m) {
   AlignedPoints aligned{ThinPoints(points, kAlignedPoints_voxels * surface_voxel_size_m)};
   std::vector<Eigen::Vector3f>& chosen = aligned.points;
-  const std::size_t stride = (chosen.size() + kMaxAlignedPoints - 1) / kMaxAlignedPoints;
-  if (stride <= 1) return aligned;
   const std::size_t all = chosen.size();
-  for (std::size_t i = 0; i * stride < all; ++i) chosen[i] = chosen[i * stride];
-  chosen.resize((all + stride - 1) / stride);
+  if (all <= kMaxAlignedPoints) return aligned;
+  // Steps of the golden ratio: no part of the scan's own order, as of its rings, is preferred.
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < all; ++i) {
+    const double place = static_cast<double>(i) * kGoldenRatio;
+    if ((place - std::floor(place)) * static_cast<double>(all) >= kMaxAlignedPoints) continue;
+    chosen[kept++] = chosen[i];
+  }
+  chosen.resize(kept);
   aligned.stands_for = static_cast<double>(all) / static_cast<double>(chosen.size());
   return aligned;
 }

@@ -23,7 +23,7 @@ struct AlignedPoints {
 };
 
 // One point in each cube of a part of the surfaces' voxel size, and of these, evenly over their
-// order, no more than are needed.
+// order, about as many as are needed.
 AlignedPoints PointsToAlign(std::span<const Eigen::Vector3f> points, double surface_voxel_size_m);
 
 }  // namespace soundmap::mapping
