@@ -16,14 +16,8 @@ using geometry::kPi;
 
 constexpr int kLanes = 4;
 constexpr double kMaxStep = 0.5;
-typedef float Float4 __attribute__((vector_size(16)));
 typedef std::int32_t Int4 __attribute__((vector_size(16)));
 
-Float4 Load(const float* p) {
-  Float4 value;
-  std::memcpy(&value, p, sizeof(value));
-  return value;
-}
 Float4 Splat(float value) { return Float4{value, value, value, value}; }
 
 // The four cubic B-splines that are not zero at t = 0 .. 1 after a knot.
@@ -42,21 +36,9 @@ Weights BSpline(Float4 t) {
 }
 
 Float4 RowSum(const float* row, std::ptrdiff_t stride, const Weights& weights, int lane) {
-  Float4 sum = weights.tap[0][lane] * Load(row);
-  for (int tap = 1; tap < 4; ++tap) sum += weights.tap[tap][lane] * Load(row + tap * stride);
+  Float4 sum = weights.tap[0][lane] * LoadFloat4(row);
+  for (int tap = 1; tap < 4; ++tap) sum += weights.tap[tap][lane] * LoadFloat4(row + tap * stride);
   return sum;
-}
-
-// Rows to columns.
-void Transpose(Float4& a, Float4& b, Float4& c, Float4& d) {
-  const Float4 ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5);
-  const Float4 ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
-  const Float4 cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5);
-  const Float4 cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
-  a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
-  b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
-  c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
-  d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
 }
 
 // Samples to coefficients of the cubic B-spline through them, in place. The ends, where samples are
@@ -270,15 +252,16 @@ void BeamPattern::AddResponse(const Eigen::Vector3d& source, float gain, float o
   const float* const at[3] = {&directions.at_[0][first], &directions.at_[1][first],
                               &directions.at_[2][first]};
   const auto responses = [&](std::size_t i) {
-    const Float4 difference[3] = {Load(at[0] + i) - origin[0], Load(at[1] + i) - origin[1],
-                                  Load(at[2] + i) - origin[2]};
+    const Float4 difference[3] = {LoadFloat4(at[0] + i) - origin[0],
+                                  LoadFloat4(at[1] + i) - origin[1],
+                                  LoadFloat4(at[2] + i) - origin[2]};
     return array_rank_ == 3   ? FromTable<3>(difference)
            : array_rank_ == 2 ? FromTable<2>(difference)
                               : FromTable<1>(difference);
   };
   std::size_t i = 0;
   for (; i + kLanes <= power.size(); i += kLanes) {
-    const Float4 sum = Load(&power[i]) + gain * (responses(i) - offset);
+    const Float4 sum = LoadFloat4(&power[i]) + gain * (responses(i) - offset);
     std::memcpy(&power[i], &sum, sizeof(sum));
   }
   if (i == power.size()) return;
@@ -315,7 +298,7 @@ Float4 BeamPattern::FromTable(const Float4 difference[3]) const {
   for (int lane = 0; lane < kLanes; ++lane) {
     const float* row = table_.data() + base[lane];
     if constexpr (kRank == 1) {
-      sum[lane] = Load(row);
+      sum[lane] = LoadFloat4(row);
     } else if constexpr (kRank == 2) {
       sum[lane] = RowSum(row, length_[2], weights[1], lane);
     } else {

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "acoustics/config.h"
+#include "acoustics/float4.h"
 
 namespace soundmap::acoustics {
 
@@ -66,9 +67,6 @@ class BeamPattern {
     Eigen::Vector3d delay_s;  // of the vector
     int count = 0;
   };
-
-  // Four directions at once.
-  typedef float Float4 __attribute__((vector_size(16)));
 
   void BuildGroups(double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m);
   void BuildAxes();

@@ -8,6 +8,7 @@
 #include <cstring>
 
 #include "absl/strings/str_cat.h"
+#include "acoustics/float4.h"
 #include "geometry/angles.h"
 
 namespace soundmap::acoustics {
@@ -27,7 +28,6 @@ constexpr double kMaxPhasorError = 4e-6;
 // exact enough.
 constexpr std::array kLagRadians = {0.6, 0.5, 0.4, 0.35, 0.3, 0.27, 0.24, 0.21, 0.18, 0.15};
 
-typedef float Float4 __attribute__((vector_size(16)));
 typedef std::int32_t Int4 __attribute__((vector_size(16)));
 
 Float4 Load(const float* p) {
@@ -35,24 +35,7 @@ Float4 Load(const float* p) {
   std::memcpy(&value, __builtin_assume_aligned(p, 16), sizeof(value));
   return value;
 }
-Float4 LoadUnaligned(const float* p) {
-  Float4 value;
-  std::memcpy(&value, p, sizeof(value));
-  return value;
-}
 void Store(float* p, Float4 value) { std::memcpy(p, &value, sizeof(value)); }
-
-// Rows to columns.
-void Transpose(Float4& a, Float4& b, Float4& c, Float4& d) {
-  const Float4 ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5);
-  const Float4 ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
-  const Float4 cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5);
-  const Float4 cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
-  a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
-  b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
-  c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
-  d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
-}
 
 // The cubic in t = 0 .. 1 between taps kTapsBefore and kTapsBefore + 1 that follows every e^{j
 // omega t} of the band best: least squares over t gives the cubic of each omega, least squares over
@@ -211,10 +194,10 @@ void LookUpSrp::Read(std::span<const float> correlation, float constant,
     for (std::size_t g = 0; g < delay_s_.size(); ++g) {
       const float* cubic = &correlation[g * intervals_ * 4];
       for (int d = 0; d < kTileDirections; d += 4, ++cell) {
-        Float4 c0 = LoadUnaligned(cubic + 2 * cell->interval_x2[0]);
-        Float4 c1 = LoadUnaligned(cubic + 2 * cell->interval_x2[1]);
-        Float4 c2 = LoadUnaligned(cubic + 2 * cell->interval_x2[2]);
-        Float4 c3 = LoadUnaligned(cubic + 2 * cell->interval_x2[3]);
+        Float4 c0 = LoadFloat4(cubic + 2 * cell->interval_x2[0]);
+        Float4 c1 = LoadFloat4(cubic + 2 * cell->interval_x2[1]);
+        Float4 c2 = LoadFloat4(cubic + 2 * cell->interval_x2[2]);
+        Float4 c3 = LoadFloat4(cubic + 2 * cell->interval_x2[3]);
         Transpose(c0, c1, c2, c3);
         const Int4 fraction{cell->fraction[0], cell->fraction[1], cell->fraction[2],
                             cell->fraction[3]};

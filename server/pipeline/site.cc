@@ -215,7 +215,11 @@ absl::StatusOr<std::vector<SessionRecord>> Site::DrivesToMap(const MapRequest& r
     if (request.extend && std::find(mapped.begin(), mapped.end(), drive.session) != mapped.end()) {
       continue;
     }
-    drive.complete ? drives.push_back(std::move(drive)) : void(++incomplete);
+    if (drive.complete) {
+      drives.push_back(std::move(drive));
+    } else {
+      ++incomplete;
+    }
   }
   if (drives.empty()) {
     return absl::FailedPreconditionError(absl::StrCat(
