@@ -64,6 +64,8 @@ absl::Status Config::Validate() const {
       {"health.sudden_share", health.sudden_share, 0, 1},
       {"health.lost_fit", health.lost_fit, 0, 1},
       {"health.tracking_fit", health.tracking_fit, health.lost_fit, 1},
+      {"health.chance_fit", health.chance_fit, 0, health.lost_fit},
+      {"health.lost_chance_m", health.lost_chance_m, 0, 1e6},
       {"health.lost_misfit_m", health.lost_misfit_m, 0, 1e6},
       {"health.tracking_position_std_m", health.tracking_position_std_m, 0, 100},
       {"health.tracking_yaw_std_rad", health.tracking_yaw_std_rad, 0, 100},

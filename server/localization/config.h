@@ -57,7 +57,11 @@ struct HealthConfig {
   double lost_fit = 0.4;                 // below: lost, until tracking_fit is reached
   double tracking_position_std_m = 0.3;  // above: uncertain
   double tracking_yaw_std_rad = geometry::RadFromDeg(10.0);
-  double lost_misfit_m = 3.0;        // driven below tracking_fit: above, lost as well
+  double lost_misfit_m = 3.0;  // driven below tracking_fit: above, lost as well
+  // Until another place fits better, a robot that had its place believes in it, however much of the
+  // building has changed: but not when the map explains no more than it does anywhere.
+  double chance_fit = 0.25;
+  double lost_chance_m = 1.5;        // driven below it: above, lost
   double lost_position_std_m = 1.5;  // above: lost
   double tracking_travel_m = 2.0;    // driven without a correction: above, uncertain
   double lost_travel_m = 15.0;

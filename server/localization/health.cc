@@ -38,11 +38,12 @@ double ScanFit(const std::vector<Beam>& beams, const geometry::Pose2& map_from_b
   return explained / std::max<double>(known, kMinKnownShare * static_cast<double>(beams.size()));
 }
 
-void Health::Begin(double scan_fit) { *this = {scan_fit, scan_fit, 0.0, false}; }
+void Health::Begin(double scan_fit) { *this = {scan_fit, scan_fit}; }
 
 void Health::Take(double scan_fit, double driven_m, bool is_usual, const HealthConfig& config) {
   mean_fit += (scan_fit - mean_fit) / config.fit_memory;
   if (is_usual) slow_fit += (scan_fit - slow_fit) / (config.fit_memory * config.slow_memory);
+  chance_m = mean_fit < config.chance_fit ? chance_m + driven_m : 0.0;
   misfit_m += driven_m;
   if (mean_fit >= config.tracking_fit) {
     misfit_m = 0.0;

@@ -20,6 +20,7 @@ struct Health {
   double slow_fit = 0.0;  // over slow_memory times as many
   double misfit_m = 0.0;  // driven since the mean fit was last at tracking_fit
   bool misfit = false;    // lost by the rule of the scan fit
+  double chance_m = 0.0;  // driven since the mean fit was last at chance_fit
 
   void Begin(double scan_fit);
   // `is_usual`: the slow mean takes part.

@@ -136,7 +136,8 @@ absl::StatusOr<Localizer> Localizer::Restore(std::shared_ptr<const PreparedPlan>
   localizer.history_.set_odometry_limit(state.odometry_limit);
   localizer.waiting_scans_.assign(state.waiting_scans.begin(), state.waiting_scans.end());
   localizer.kept_scans_.assign(state.kept_scans.begin(), state.kept_scans.end());
-  localizer.health_ = {state.mean_fit, state.slow_fit, state.misfit_m, state.misfit};
+  localizer.health_ = {state.mean_fit, state.slow_fit, state.misfit_m, state.misfit,
+                       state.chance_m};
 
   localizer.memory_ = state;
   localizer.memory_.engine.clear();
@@ -164,6 +165,7 @@ LocalizerState Localizer::state() const {
   state.slow_fit = health_.slow_fit;
   state.misfit_m = health_.misfit_m;
   state.misfit = health_.misfit;
+  state.chance_m = health_.chance_m;
   return state;
 }
 
@@ -365,7 +367,10 @@ State Localizer::Judge(const PoseEstimate& estimate, double travelled_m) const {
   State state = health_.Judge(estimate.scan_fit, health);
   if (memory_.searching) {
     state = std::max(state, State::kUncertain);
-    if (memory_.unrivalled && health_.mean_fit >= health.lost_fit) state = State::kUncertain;
+    const bool is_lost = memory_.lost_since_ns && !memory_.look_back;
+    const bool believes = is_lost ? memory_.unrivalled && health_.mean_fit >= health.lost_fit
+                                  : !memory_.rivalled && health_.chance_m <= health.lost_chance_m;
+    if (believes) state = State::kUncertain;
   }
   if (position_std_m > health.lost_position_std_m || travelled_m > health.lost_travel_m) {
     return State::kLost;

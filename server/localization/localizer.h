@@ -55,11 +55,12 @@ struct LocalizerState {
   std::optional<frames::TimeNs> newest_scan_ns;
   std::optional<frames::TimeNs> considered_until_ns;
   std::optional<geometry::Pose2> odom_from_particles;  // odom_from_base at the particles' time
-  double mean_fit = 0.0;                               // this one, slow_fit and misfit*: Health
-  double travelled_m = 0.0;                            // since the last correction
-  bool jumped = false;  // the odometry did, since the last correction
+  double mean_fit = 0.0;     // this one, slow_fit, misfit* and chance_m: Health
+  double travelled_m = 0.0;  // since the last correction
+  bool jumped = false;       // the odometry did, since the last correction
   double misfit_m = 0.0;
   bool misfit = false;
+  double chance_m = 0.0;
   Counters counters;
   double laser_lag_s = 0.0;  // in use
   frames::LaserLag::State lag;
@@ -72,6 +73,8 @@ struct LocalizerState {
   frames::TimeNs search_from_ns = 0;  // scans before it may be of another place
   int sectors_searched = 0;
   bool unrivalled = false;      // as far as searched, no other place explains the scans as well
+  bool rivalled = false;        // another place explains them as well as the map usually does, and
+                                // clearly better than the robot's
   double since_sector_m = 0.0;  // driven since the last sector was searched
   std::vector<Hypothesis> hypotheses;
   std::vector<KeptScan> kept_scans;  // oldest first
@@ -92,9 +95,11 @@ struct LocalizerState {
 //
 // Search. A robot without a start, or whose scans stop to fit as they should, searches the whole
 // plan (GlobalSearch) and carries on every place that fits (Hypotheses). A robot with a place keeps
-// it until another explains the scans well and clearly better; while none does, a mean fit above
-// lost_fit makes it uncertain, not lost: the building has changed, not the robot's place. One
-// without a place is lost until one place has no rival. Then the kept scans tell where it was
+// it until another explains the scans well and clearly better. While none explains them as well as
+// the map usually does, it is uncertain, not lost, whatever the mean fit: the building has changed,
+// not the robot's place; unless it has driven lost_chance_m with a mean fit below chance_fit. Once
+// lost, it believes in its place again with a mean fit above lost_fit and no rival. One without a
+// place is lost until one place has no rival. Then the kept scans tell where it was
 // meanwhile (LookBack). With the search off, a robot is lost until the mean fit reaches
 // tracking_fit.
 class Localizer {

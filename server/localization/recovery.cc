@@ -59,6 +59,7 @@ void Localizer::BeginSearch() {
   memory_.searching = true;
   memory_.sectors_searched = 0;
   memory_.unrivalled = false;
+  memory_.rivalled = false;
 }
 
 // Looks through the next sector and weighs the places. `own`: what the filter says, if there is
@@ -89,12 +90,18 @@ std::optional<PoseEstimate> Localizer::Search(const KeptScan& scan, const std::v
 
   if (own) {
     const Hypothesis* own_place = hypotheses.At(own->map_from_base);
-    const bool carried_off =
-        own_place != best && hypotheses.IsUnambiguous(memory_.sectors_searched) &&
-        best->fit > health_.mean_fit &&
+    const bool is_outdone =
+        own_place != best &&
         (own_place == nullptr ||
          (best->evidence - own_place->evidence) * best->weight >= config.carried_lead_m);
-    if (carried_off) return MoveTo(*best, scan, beams);
+    // Somewhere on a whole floor plan chance explains more than an outdated map does at the right
+    // place, but less than the map usually does.
+    const double usual_fit = plan_->config.health.usual_share * health_.slow_fit;
+    if (is_outdone && best->fit >= usual_fit && best->fit > health_.mean_fit &&
+        hypotheses.IsUnambiguous(memory_.sectors_searched)) {
+      return MoveTo(*best, scan, beams);
+    }
+    memory_.rivalled = is_outdone && best->fit >= health_.slow_fit;
     memory_.unrivalled = complete && own_place != nullptr && own_place == best &&
                          hypotheses.lead() >= config.min_lead;
     PoseEstimate estimate = *own;

@@ -51,7 +51,7 @@ void serialize(Archive& archive, soundmap::localization::Hypothesis& hypothesis,
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::localization::Health& health, unsigned) {
-  archive& health.mean_fit& health.slow_fit& health.misfit_m& health.misfit;
+  archive& health.mean_fit& health.slow_fit& health.misfit_m& health.misfit& health.chance_m;
 }
 
 template <class Archive>
@@ -95,10 +95,10 @@ void serialize(Archive& archive, soundmap::localization::LocalizerState& state, 
   archive& state.particles& state.engine& state.odometry& state.raw_odometry& state
       .waiting_scans& state.corrections& state.newest_scan_ns& state.considered_until_ns& state
       .odom_from_particles& state.mean_fit& state.slow_fit& state.misfit_m& state.misfit& state
-      .travelled_m& state.jumped& state.counters& state.odometry_limit& state.keep_from_ns& state
-      .lost_since_ns& state.searching& state.search_from_ns& state.sectors_searched& state
-      .unrivalled& state.since_sector_m& state.hypotheses& state.kept_scans& state.look_back& state
-      .laser_lag_s& state.lag;
+      .chance_m& state.rivalled& state.travelled_m& state.jumped& state.counters& state
+      .odometry_limit& state.keep_from_ns& state.lost_since_ns& state.searching& state
+      .search_from_ns& state.sectors_searched& state.unrivalled& state.since_sector_m& state
+      .hypotheses& state.kept_scans& state.look_back& state.laser_lag_s& state.lag;
 }
 
 template <class Archive>

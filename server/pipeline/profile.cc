@@ -264,6 +264,8 @@ void VisitLocalization(Visitor& v, localization::Config& c) {
   v("usual_share", c.health.usual_share);
   v("sudden_share", c.health.sudden_share);
   v("lost_misfit_m", c.health.lost_misfit_m);
+  v("chance_fit", c.health.chance_fit);
+  v("lost_chance_m", c.health.lost_chance_m);
   v("lost_position_std_m", c.health.lost_position_std_m);
   v("tracking_travel_m", c.health.tracking_travel_m);
   v("lost_travel_m", c.health.lost_travel_m);

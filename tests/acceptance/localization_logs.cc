@@ -56,13 +56,15 @@ void PrintTrials(const Scene& scene, bool carried, int trials) {
     const std::size_t from = carried ? ends[(i + trials / 3) % trials] : to;
     const TrialResult r = RunTrial(scene, plan, path, from, to, 8.0, 15.0, i);
     std::printf(
-        "%-8s %s %2d: right after %5.2f m, wrong tracking %.2f m, noticed after %.2f m; late poses "
+        "%-8s %s %2d: right after %5.2f m, wrong tracking %.2f m, believed %.2f m, noticed after "
+        "%.2f m; late poses "
         "%d: %d right (%.3f m), %d wrong; %lld searches, %lld losses, %lld recoveries, worst call "
         "%.0f us\n",
         scene.name.c_str(), carried ? "carried off" : "unknown start", i, r.until_right_m,
-        r.wrong_tracking_m, r.noticed_m, r.late_poses, r.late_right, r.late_mean_m, r.late_wrong,
-        static_cast<long long>(r.counters.searches), static_cast<long long>(r.counters.losses),
-        static_cast<long long>(r.counters.recoveries), r.worst_call_us);
+        r.wrong_tracking_m, r.wrong_believed_m, r.noticed_m, r.late_poses, r.late_right,
+        r.late_mean_m, r.late_wrong, static_cast<long long>(r.counters.searches),
+        static_cast<long long>(r.counters.losses), static_cast<long long>(r.counters.recoveries),
+        r.worst_call_us);
     std::fflush(stdout);
     within_5 += r.until_right_m >= 0.0 && r.until_right_m <= 5.0;
     within_10 += r.until_right_m >= 0.0 && r.until_right_m <= 10.0;

@@ -300,6 +300,7 @@ TrialResult RunTrial(const Scene& scene, const std::shared_ptr<const PreparedPla
         const bool right = Between(laser, *then_truth) < 0.5 &&
                            Turn(laser, *then_truth) < geometry::RadFromDeg(10.0);
         if (now->state == State::kTracking && !right) result.wrong_tracking_m += step_m;
+        if (now->state != State::kLost && !right) result.wrong_believed_m += step_m;
         if (now->state != State::kTracking && result.noticed_m < 0.0) result.noticed_m = driven_m;
         if (now->state == State::kTracking && right && result.until_right_m < 0.0 &&
             driven_m > 0.0) {

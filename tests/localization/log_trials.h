@@ -62,6 +62,7 @@ struct TrialResult {
   double until_right_m =
       -1.0;  // driven (since carried off) until tracking at the right place; < 0: never
   double wrong_tracking_m = 0.0;       // driven while tracking at a wrong place
+  double wrong_believed_m = 0.0;       // driven while not lost at a wrong place
   double noticed_m = -1.0;             // driven since carried off until not tracking
   int late_poses = 0;                  // looked at of the stretch driven while lost
   int late_right = 0, late_wrong = 0;  // of them, given as not lost

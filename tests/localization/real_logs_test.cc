@@ -42,6 +42,7 @@ TEST_F(RealLogs, AChangedBuildingIsTracked) {
     EXPECT_GT(result.poses, 600);
     EXPECT_LT(result.mean_m, 0.20);
     EXPECT_FALSE(result.diverged());
+    EXPECT_LT(result.lost_share, 0.05);
   }
 }
 

@@ -169,6 +169,29 @@ TEST(Recovery, ARobotThatIsCarriedOffNoticesAndFindsItsPlace) {
   EXPECT_LE(lost, 30);
 }
 
+// Into a building that the map does not have: nothing there may pass for one that has changed.
+TEST(Recovery, ARobotThatIsCarriedOffTheMapIsLost) {
+  const DriveAlong first = FirstLeg();
+  const DriveAlong elsewhere(
+      {{0.0, 0.0, 17.0, 13.0}, {{5.0, 4.0, 9.0, 7.5}, {12.0, 0.0, 12.6, 6.0}}},
+      {{3.0, 2.0}, {10.5, 2.0}, {10.5, 6.0}});
+  const Drive drive = MakeDrive({first, elsewhere});
+  const TimeNs carried_ns = kStart_ns + frames::NsFromSeconds(first.duration_s());
+  Localizer localizer = Start(Prepare(OfficeFloor()), InitialPose{first.TruthAt(0.0)});
+  int believed = 0, tracking = 0, all = 0;
+  for (const frames::Frame& frame : drive.frames) {
+    for (const PoseEstimate& estimate : Feed(localizer, frame)) {
+      if (estimate.stamp_ns < carried_ns) continue;
+      ++all;
+      believed += estimate.state != State::kLost;
+      tracking += estimate.state == State::kTracking;
+    }
+  }
+  EXPECT_GT(all, 100);
+  EXPECT_LE(believed, 30);  // some 0.1 m each
+  EXPECT_LE(tracking, 3);
+}
+
 // The floor looks the same from both of its ends.
 TEST(Recovery, WhereTwoPlacesAreTheSameItDoesNotChoose) {
   const SyntheticRoom floor = SymmetricFloor();
