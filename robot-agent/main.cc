@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <optional>
@@ -21,6 +22,7 @@
 #include "absl/strings/str_format.h"
 #include "sources/convert/convert.h"
 #include "sources/replay/replay.h"
+#include "sources/simulation/random_scene.h"
 #include "sources/simulation/simulate.h"
 #include "uplink/channel.h"
 #include "uplink/uploader.h"
@@ -251,6 +253,7 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
 
 struct SimulateCommand {
   std::string scene;
+  std::optional<std::uint32_t> random_seed;
   std::string out;
   bool mapping = false;
   std::optional<double> seconds;
@@ -264,7 +267,16 @@ absl::Status RunSimulate(const SimulateCommand& command) {
   options.progress = [&line](double share) {
     line.Show(absl::StrFormat("simulating: %.0f %%", 100.0 * share));
   };
-  const auto result = simulation::Simulate(command.scene, command.out, options);
+  std::string scene = command.scene;
+  if (command.random_seed) {
+    const auto text = simulation::RandomScene(*command.random_seed);
+    if (!text.ok()) return text.status();
+    scene = std::filesystem::path(command.out).replace_extension(".scene.json").string();
+    if (!(std::ofstream(scene, std::ios::trunc) << *text << std::flush)) {
+      return absl::UnavailableError(absl::StrCat(scene, ": cannot be written"));
+    }
+  }
+  const auto result = simulation::Simulate(scene, command.out, options);
   line.Clear();
   if (!result.ok()) return result.status();
   std::printf("%s: %.1f s of driving, %d messages; truth in %s\n", command.out.c_str(),
@@ -278,8 +290,12 @@ absl::Status RunSimulate(const SimulateCommand& command) {
 
 void AddSimulate(CLI::App& app, SimulateCommand& command) {
   CLI::App* simulate = app.add_subcommand("simulate", "Makes a drive through a scene, with truth");
-  simulate->add_option("SCENE", command.scene, "A scene's file, or the name of a shipped scene")
-      ->required();
+  CLI::Option_group* scene = simulate->add_option_group("scene");
+  scene->add_option("SCENE", command.scene, "A scene's file, or the name of a shipped scene");
+  scene->add_option("--random", command.random_seed,
+                    "Instead, a room, array and drive drawn at random with this seed; the scene is "
+                    "kept beside the recording (NAME.scene.json)");
+  scene->require_option(1);
   simulate->add_option("--out", command.out, "The recording to write (.mcap)")->required();
   simulate->add_flag("--mapping", command.mapping, "A mapping drive: without audio");
   simulate->add_option("--seconds", command.seconds, "End the drive after so long")

@@ -136,9 +136,14 @@ absl::StatusOr<SimulateResult> Simulate(const std::string& scene_name, const std
                                         const SimulateOptions& options) {
   const auto scene_path = FindScene(scene_name);
   if (!scene_path.ok()) return scene_path.status();
-  auto loaded = LoadScene(*scene_path);
-  if (!loaded.ok()) return loaded.status();
-  const Scene scene = options.mapping ? MappingDrive(*loaded) : *loaded;
+  const auto scene = LoadScene(*scene_path);
+  if (!scene.ok()) return scene.status();
+  return Simulate(*scene, out_path, options);
+}
+
+absl::StatusOr<SimulateResult> Simulate(const Scene& of_listening, const std::string& out_path,
+                                        const SimulateOptions& options) {
+  const Scene scene = options.mapping ? MappingDrive(of_listening) : of_listening;
   const auto trajectory = Trajectory::Create(scene.path, scene.path.laps);
   if (!trajectory.ok()) return trajectory.status();
   if (options.seconds && !(*options.seconds > 0.0)) {

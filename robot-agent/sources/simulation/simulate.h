@@ -7,6 +7,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "sources/simulation/scene.h"
 
 namespace soundmap::simulation {
 
@@ -32,6 +33,9 @@ absl::StatusOr<std::string> FindScene(const std::string& scene);
 // Drives a robot through the scene and writes the recording and, beside it, its truth (NAME.mcap,
 // NAME.truth.json). `scene` as in FindScene. The same scene gives the same bytes.
 absl::StatusOr<SimulateResult> Simulate(const std::string& scene, const std::string& out_path,
+                                        const SimulateOptions& options);
+// The same of a scene that is no file.
+absl::StatusOr<SimulateResult> Simulate(const Scene& scene, const std::string& out_path,
                                         const SimulateOptions& options);
 
 }  // namespace soundmap::simulation

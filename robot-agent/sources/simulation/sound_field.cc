@@ -339,6 +339,7 @@ absl::Status SoundFieldImpl::Prepare() {
     if (!sound.ok()) return sound.status();
     robot_sound_ = *std::move(sound);
     histories_.emplace_back(generated_);
+    sources_m.push_back(trajectory_.At(0.0).map_from_base() * kRobotNoiseInBase);
   }
 
   const double spacing_s = std::max(kListenerSpacingS, trajectory_.duration_s() / kMostListeners);
@@ -422,6 +423,10 @@ void SoundFieldImpl::Generate() {
   }
   if (tail_filter_) {
     std::vector<float> input(kGeneratedSamples, 0.0f);
+    if (robot_sound_) {
+      const float* robot = histories_.back().At(generated_);
+      std::copy_n(robot, kGeneratedSamples, input.begin());
+    }
     for (std::size_t s = 0; s < sums.size(); ++s) {
       const auto gain = static_cast<float>(tail_gain_[s]);
       for (int i = 0; i < kGeneratedSamples; ++i) input[i] += gain * sums[s][i];
@@ -486,7 +491,11 @@ void SoundFieldImpl::AddFrame(std::int64_t middle) {
     add_point(emitter.position_m, blocked ? emitter.gain * through : emitter.gain, emitter.signal);
   }
   if (robot_sound_) {
-    add_point(map_from_base * kRobotNoiseInBase, 1.0, static_cast<int>(histories_.size()) - 1);
+    for (const auto& image :
+         RoomImages(scene_.room_m, scene_.reverberation, map_from_base * kRobotNoiseInBase,
+                    scene_.reverberation.image_order, std::numeric_limits<double>::max())) {
+      add_point(image.position_m, image.gain, static_cast<int>(histories_.size()) - 1);
+    }
   }
   // Plane waves; the tail's time counts at the middle of the room.
   const Eigen::Vector3d middle_m = scene_.room_m / 2;
