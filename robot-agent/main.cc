@@ -12,6 +12,7 @@
 #include <optional>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -75,6 +76,8 @@ struct ReplayCommand {
   std::string server = "127.0.0.1:7443";
   std::string token_file;
   std::string tls_ca;
+  std::string tls_cert;
+  std::string tls_key;
   double connect_timeout_s = 60.0;
 };
 
@@ -133,10 +136,13 @@ absl::Status RunReplay(const ReplayCommand& command) {
     if (!token.ok()) return token.status();
     server.token = std::string(absl::StripAsciiWhitespace(*token));
   }
-  if (!command.tls_ca.empty()) {
-    absl::StatusOr<std::string> pem = FileText(command.tls_ca);
+  for (const auto& [path, text] : {std::pair(&command.tls_ca, &server.tls_ca_pem),
+                                   std::pair(&command.tls_cert, &server.tls_cert_pem),
+                                   std::pair(&command.tls_key, &server.tls_key_pem)}) {
+    if (path->empty()) continue;
+    absl::StatusOr<std::string> pem = FileText(*path);
     if (!pem.ok()) return pem.status();
-    server.tls_ca_pem = *std::move(pem);
+    *text = *std::move(pem);
   }
   auto channel = uplink::OpenChannel(server);
   if (!channel.ok()) return channel.status();
@@ -244,6 +250,8 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
   replay->add_option("--token-file", command.token_file, "File with a bearer token");
   replay->add_option("--tls-ca", command.tls_ca,
                      "Certificates to trust (PEM); without, the connection is plain text");
+  replay->add_option("--tls-cert", command.tls_cert, "The robot's own certificate (PEM)");
+  replay->add_option("--tls-key", command.tls_key, "Its private key (PEM)");
   replay
       ->add_option("--connect-timeout", command.connect_timeout_s,
                    "Seconds to go on trying in vain to reach the server")

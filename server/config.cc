@@ -1,5 +1,6 @@
 #include "config.h"
 
+#include <algorithm>
 #include <filesystem>
 #include <sstream>
 
@@ -38,9 +39,11 @@ absl::Status ServerConfig::ReadFile(const std::string& path) {
     return absl::InvalidArgumentError(absl::StrCat("the configuration file: ", what.str()));
   }
   const std::map<std::string, std::string*> texts = {
-      {"data_dir", &data_dir},        {"grpc", &grpc_address}, {"http", &http_address},
-      {"tls_cert", &tls.certificate}, {"tls_key", &tls.key},   {"tls_client_ca", &tls.client_ca},
-      {"log_level", &log_level}};
+      {"data_dir", &data_dir},         {"grpc", &grpc_address},
+      {"http", &http_address},         {"tls_cert", &tls.certificate},
+      {"tls_key", &tls.key},           {"tls_client_ca", &tls.client_ca},
+      {"log_level", &log_level},       {"tokens", &access.token_file},
+      {"audit_log", &access.audit_log}};
   for (auto&& [key, node] : parsed.table()) {
     const std::string name(key.str());
     bool taken = false;
@@ -52,6 +55,11 @@ absl::Status ServerConfig::ReadFile(const std::string& path) {
     } else if (name == "insecure") {
       if (const auto value = node.value<bool>()) {
         insecure = *value;
+        taken = true;
+      }
+    } else if (name == "max_calls_per_s") {
+      if (const auto value = node.value<double>()) {
+        access.calls_per_s = *value;
         taken = true;
       }
     } else if (name == "threads") {
@@ -102,9 +110,19 @@ absl::Status ServerConfig::Validate() const {
         "the gRPC address ", grpc_address,
         " is not loopback: give --tls-cert and --tls-key, or --insecure for plain text"));
   }
-  if (!insecure && !IsLoopback(http_address)) {
+  if (tls.certificate.empty() && !insecure && !IsLoopback(http_address)) {
     return absl::InvalidArgumentError(absl::StrCat(
-        "the HTTP address ", http_address, " is not loopback: give --insecure for plain text"));
+        "the HTTP address ", http_address,
+        " is not loopback: give --tls-cert and --tls-key, or --insecure for plain text"));
+  }
+  if (access.token_file.empty() && tls.client_ca.empty() && !insecure &&
+      !IsLoopback(grpc_address)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "the gRPC address ", grpc_address,
+        " is not loopback: give --tokens or --tls-client-ca, or --insecure to let anybody in"));
+  }
+  if (!(access.calls_per_s >= 1.0)) {
+    return absl::InvalidArgumentError("max_calls_per_s must be 1 or more");
   }
   if (threads < 0 || threads > 1024) {
     return absl::InvalidArgumentError("threads must be from 0 to 1024");

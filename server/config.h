@@ -4,7 +4,8 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "api/server.h"
+#include "api/access.h"
+#include "api/tls.h"
 #include "pipeline/profile.h"
 
 namespace soundmap {
@@ -15,6 +16,7 @@ struct ServerConfig {
   std::string grpc_address = "127.0.0.1:7443";
   std::string http_address = "127.0.0.1:7480";
   api::TlsFiles tls;
+  api::Access::Options access;
   bool insecure = false;  // plain text beyond the loopback interface
   int threads = 0;        // of the pipeline; 0: one a core
   std::string log_level = "info";

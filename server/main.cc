@@ -6,6 +6,7 @@
 #include <boost/asio/thread_pool.hpp>
 #include <chrono>
 #include <csignal>
+#include <cstdlib>
 #include <future>
 #include <iostream>
 #include <nlohmann/json.hpp>
@@ -13,6 +14,7 @@
 #include <thread>
 
 #include "absl/strings/str_cat.h"
+#include "api/access.h"
 #include "api/decode_frame.h"
 #include "api/server.h"
 #include "config.h"
@@ -32,6 +34,12 @@ std::int64_t NowNs() {
 }
 
 absl::Status Serve(const ServerConfig& config) {
+  absl::Status checked = api::CheckTlsFiles(config.tls);
+  if (!checked.ok()) return checked;
+  api::Access::Options access_options = config.access;
+  access_options.robots_by_certificate = !config.tls.client_ca.empty();
+  auto access = api::Access::Create(access_options, NowNs);
+  if (!access.ok()) return access.status();
   auto store = storage::Store::Open(config.data_dir);
   if (!store.ok()) return store.status();
 
@@ -66,6 +74,7 @@ absl::Status Serve(const ServerConfig& config) {
     api::Server::Parts parts;
     parts.sites = sites->get();
     parts.operations = &operations;
+    parts.access = access->get();
     parts.store = store->get();
     parts.executor = pool.get_executor();
     parts.now_ns = NowNs;
@@ -73,8 +82,10 @@ absl::Status Serve(const ServerConfig& config) {
     auto server = api::Server::Start(config.grpc_address, config.tls, parts);
     if (!server.ok()) return server.status();
     auto gateway = web_gateway::HttpGateway::Start(
-        pool.get_executor(), config.http_address,
-        {[&ready] { return ready.load(); }, [meters] { return MetricsText(*meters); }});
+        pool.get_executor(), config.http_address, config.tls,
+        {[&ready] { return ready.load(); },
+         [meters, access = access->get()] { return MetricsText(*meters, *access); },
+         access->get()});
     if (!gateway.ok()) {
       (*server)->Shutdown();
       return gateway.status();
@@ -122,7 +133,14 @@ int Main(int argc, char** argv) {
   auto* cert = app.add_option("--tls-cert", flags.tls.certificate, "the server's certificate, PEM");
   auto* key = app.add_option("--tls-key", flags.tls.key, "its private key, PEM");
   auto* client_ca = app.add_option("--tls-client-ca", flags.tls.client_ca,
-                                   "who signs the clients' certificates, PEM");
+                                   "who signs the robots' certificates, PEM");
+  auto* tokens = app.add_option("--tokens", flags.access.token_file,
+                                "TOML file with the tokens' hashes and what each may do");
+  auto* audit_log = app.add_option("--audit-log", flags.access.audit_log,
+                                   "file that says who changed what; default: standard error");
+  auto* calls = app.add_option("--max-calls-per-s", flags.access.calls_per_s,
+                               "how often one client may call, in the long run")
+                    ->capture_default_str();
   auto* insecure =
       app.add_flag("--insecure", flags.insecure, "allow plain text beyond the loopback interface");
   auto* threads =
@@ -152,6 +170,9 @@ int Main(int argc, char** argv) {
   if (*cert) config.tls.certificate = flags.tls.certificate;
   if (*key) config.tls.key = flags.tls.key;
   if (*client_ca) config.tls.client_ca = flags.tls.client_ca;
+  if (*tokens) config.access.token_file = flags.access.token_file;
+  if (*audit_log) config.access.audit_log = flags.access.audit_log;
+  if (*calls) config.access.calls_per_s = flags.access.calls_per_s;
   if (*insecure) config.insecure = flags.insecure;
   if (*threads) config.threads = flags.threads;
   if (*log_level) config.log_level = flags.log_level;
@@ -165,6 +186,8 @@ int Main(int argc, char** argv) {
   }
   const absl::Status valid = config.Validate();
   if (!valid.ok()) return fail(valid);
+  // gRPC has a line for every handshake that fails: a log that strangers could fill.
+  setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
   spdlog::set_default_logger(spdlog::stderr_color_mt("soundmap"));
   spdlog::set_level(spdlog::level::from_str(config.log_level));
   const absl::Status served = Serve(config);

@@ -5,6 +5,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <array>
 #include <chrono>
 #include <fstream>
 #include <vector>
@@ -36,7 +37,7 @@ MetricFamily One(const char* name, const char* help, MetricType type, double val
 
 }  // namespace
 
-std::string MetricsText(const pipeline::Meters& meters) {
+std::string MetricsText(const pipeline::Meters& meters, const api::Access& access) {
   MetricFamily stages{"soundmap_stage_cpu_seconds_total",
                       "Processor time by stage of the work on robots' frames.",
                       MetricType::Counter,
@@ -47,10 +48,22 @@ std::string MetricsText(const pipeline::Meters& meters) {
     metric.label.push_back({"stage", pipeline::NameOf(stage)});
     metric.counter.value = std::chrono::duration<double>(meters.stages.cpu_time(stage)).count();
   }
+  MetricFamily refusals{"soundmap_refused_calls_total",
+                        "Calls without good credentials, beyond what they grant, or too often.",
+                        MetricType::Counter,
+                        {}};
+  const std::array<const char*, api::Access::kRefusals> reasons = {"unauthenticated", "denied",
+                                                                   "too_often"};
+  for (int i = 0; i < api::Access::kRefusals; ++i) {
+    ClientMetric& metric = refusals.metric.emplace_back();
+    metric.label.push_back({"reason", reasons[static_cast<std::size_t>(i)]});
+    metric.counter.value =
+        static_cast<double>(access.refusals(static_cast<api::Access::Refusal>(i)));
+  }
   rusage usage = {};
   ::getrusage(RUSAGE_SELF, &usage);
   return prometheus::TextSerializer().Serialize(
-      {stages,
+      {stages, refusals,
        One("soundmap_received_bytes_total", "Bytes of the messages that robots have sent.",
            MetricType::Counter, static_cast<double>(meters.received_bytes)),
        One("process_cpu_seconds_total", "Processor time of the process.", MetricType::Counter,

@@ -2,11 +2,12 @@
 
 #include <string>
 
+#include "api/access.h"
 #include "pipeline/stage_times.h"
 
 namespace soundmap {
 
-// What Prometheus reads: the meters, and what the process takes.
-std::string MetricsText(const pipeline::Meters& meters);
+// What Prometheus reads: the meters, refused calls, and what the process takes.
+std::string MetricsText(const pipeline::Meters& meters, const api::Access& access);
 
 }  // namespace soundmap

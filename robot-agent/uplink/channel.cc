@@ -14,10 +14,17 @@ bool IsLoopback(const std::string& address) {
 }  // namespace
 
 absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const ServerOptions& options) {
+  if (options.tls_cert_pem.empty() != options.tls_key_pem.empty() ||
+      (!options.tls_cert_pem.empty() && options.tls_ca_pem.empty())) {
+    return absl::InvalidArgumentError(
+        "the robot's certificate, its key and the certificates to trust go together");
+  }
   std::shared_ptr<grpc::ChannelCredentials> credentials = grpc::InsecureChannelCredentials();
   if (!options.tls_ca_pem.empty()) {
     grpc::SslCredentialsOptions ssl;
     ssl.pem_root_certs = options.tls_ca_pem;
+    ssl.pem_cert_chain = options.tls_cert_pem;
+    ssl.pem_private_key = options.tls_key_pem;
     credentials = grpc::SslCredentials(ssl);
   } else if (!options.token.empty() && !IsLoopback(options.address)) {
     return absl::InvalidArgumentError(absl::StrCat("the token would travel unencrypted to ",

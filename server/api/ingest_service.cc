@@ -45,7 +45,7 @@ std::optional<SensorFormat> FormatOf(v1::Sensor sensor) {
 class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, v1::IngestResponse>,
                               public std::enable_shared_from_this<IngestService::Stream> {
  public:
-  explicit Stream(IngestService* service) : service_(service) {}
+  Stream(IngestService* service, Caller caller) : service_(service), caller_(std::move(caller)) {}
 
   void Start() {
     alive_ = shared_from_this();
@@ -110,7 +110,8 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
         pipeline::StageClock clock(&meters.stages);
         clock.Start();
         meters.received_bytes += static_cast<std::int64_t>(request_.ByteSizeLong());
-        const absl::Status handled = HandleChunk(*request_.mutable_chunk());
+        absl::Status handled = service_->access_->Recheck(caller_);
+        if (handled.ok()) handled = HandleChunk(*request_.mutable_chunk());
         clock.Stop(pipeline::Stage::kReceive);
         return handled;
       }
@@ -128,9 +129,14 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
 
   absl::Status HandleOpen(const v1::Open& open) {
     if (session_) return absl::FailedPreconditionError("`open` came twice");
-    const auto session = FindSession(*service_->sites_, open.session());
+    const auto session =
+        FindSession(*service_->sites_, open.session(), Right::kRead, *service_->access_, caller_);
     if (!session.ok()) return session.status();
-    if (open.epoch() != (*session)->record().epoch) {
+    const pipeline::SessionRecord record = (*session)->record();
+    const absl::Status allowed =
+        service_->access_->Check(caller_, Right::kStream, record.site, record.robot);
+    if (!allowed.ok()) return allowed;
+    if (open.epoch() != record.epoch) {
       return absl::AbortedError(absl::StrCat("epoch ", open.epoch(), " of session '",
                                              open.session(), "' is not its newest"));
     }
@@ -307,6 +313,7 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
   }
 
   IngestService* const service_;
+  const Caller caller_;
   std::shared_ptr<Stream> alive_;
   v1::IngestRequest request_;
 
@@ -337,14 +344,24 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
   std::int64_t received_bytes_ = 0;
 };
 
-IngestService::IngestService(pipeline::Sites* sites, boost::asio::any_io_executor executor)
-    : sites_(sites), executor_(std::move(executor)) {}
+IngestService::IngestService(pipeline::Sites* sites, Access* access,
+                             boost::asio::any_io_executor executor)
+    : sites_(sites), access_(access), executor_(std::move(executor)) {}
 
 IngestService::~IngestService() = default;
 
 grpc::ServerBidiReactor<v1::IngestRequest, v1::IngestResponse>* IngestService::Ingest(
-    grpc::CallbackServerContext*) {
-  auto stream = std::make_shared<Stream>(this);
+    grpc::CallbackServerContext* context) {
+  auto caller = access_->CallerOf(*context);
+  if (!caller.ok()) {
+    class Refusal : public grpc::ServerBidiReactor<v1::IngestRequest, v1::IngestResponse> {
+     public:
+      explicit Refusal(const absl::Status& status) { Finish(ToGrpcStatus(status)); }
+      void OnDone() override { delete this; }
+    };
+    return new Refusal(caller.status());
+  }
+  auto stream = std::make_shared<Stream>(this, *std::move(caller));
   bool draining = false;
   {
     std::lock_guard lock(mutex_);

@@ -6,6 +6,7 @@
 #include <mutex>
 #include <set>
 
+#include "api/access.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/ingest_service.grpc.pb.h"
 
@@ -14,7 +15,7 @@ namespace soundmap::api {
 class IngestService : public v1::IngestService::CallbackService {
  public:
   // `executor` runs what the pipeline wakes.
-  IngestService(pipeline::Sites* sites, boost::asio::any_io_executor executor);
+  IngestService(pipeline::Sites* sites, Access* access, boost::asio::any_io_executor executor);
   ~IngestService() override;
 
   grpc::ServerBidiReactor<v1::IngestRequest, v1::IngestResponse>* Ingest(
@@ -27,6 +28,7 @@ class IngestService : public v1::IngestService::CallbackService {
   class Stream;
 
   pipeline::Sites* const sites_;
+  Access* const access_;
   const boost::asio::any_io_executor executor_;
   std::mutex mutex_;
   std::set<Stream*> streams_;  // guarded by mutex_

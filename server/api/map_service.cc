@@ -1,6 +1,6 @@
 #include "api/map_service.h"
 
-#include <optional>
+#include <memory>
 
 #include "absl/strings/str_cat.h"
 #include "api/convert.h"
@@ -20,23 +20,24 @@ constexpr std::size_t kMaxImportBytes = std::size_t{1} << 30;
 grpc::ServerUnaryReactor* MapService::BuildMap(grpc::CallbackServerContext* context,
                                                const v1::BuildMapRequest* request,
                                                v1::Operation* response) {
-  const auto site = FindSite(*sites_, request->site());
-  if (!site.ok()) return Finish(context, site.status());
+  const AuditedFinish finish(access_, context, "build map", request->site());
+  const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kWrite});
+  if (!site.ok()) return finish(site.status());
   const std::string site_name = (*site)->record().site;
   pipeline::MapRequest map_request;
   map_request.extend = request->extend();
   for (const std::string& session : request->sessions()) {
     const auto name = ParseSession(session);
-    if (!name.ok()) return Finish(context, name.status());
+    if (!name.ok()) return finish(name.status());
     if (name->site != site_name) {
-      return Finish(context, absl::InvalidArgumentError(absl::StrCat(
-                                 "session '", session, "' is not one of site '", site_name, "'")));
+      return finish(absl::InvalidArgumentError(
+          absl::StrCat("session '", session, "' is not one of site '", site_name, "'")));
     }
     map_request.sessions.push_back(name->session);
   }
   for (const v1::SurveyedPose& proto : request->surveyed_poses()) {
     const auto pose = FromProto(proto.map_from_base());
-    if (!pose.ok()) return Finish(context, pose.status());
+    if (!pose.ok()) return finish(pose.status());
     map_request.surveyed_poses.push_back({proto.time_ns(), *pose});
   }
   const auto operation = operations_->Start(
@@ -44,31 +45,33 @@ grpc::ServerUnaryReactor* MapService::BuildMap(grpc::CallbackServerContext* cont
       [site = *site, map_request](pipeline::OperationContext& operation_context) {
         return site->BuildMap(map_request, operation_context);
       });
-  if (!operation.ok()) return Finish(context, operation.status());
+  if (!operation.ok()) return finish(operation.status());
   *response = ToProto(*operation);
-  return Finish(context, absl::OkStatus());
+  return finish(absl::OkStatus());
 }
 
 // Collects the file, then starts the operation that reads it.
 class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> {
  public:
-  Import(MapService* service, v1::Operation* response) : service_(service), response_(response) {
+  Import(MapService* service, grpc::CallbackServerContext* context, v1::Operation* response)
+      : service_(service), context_(context), response_(response) {
+    auto caller = service_->access_->CallerOf(*context_);
+    if (!caller.ok()) {
+      End(caller.status());
+      return;
+    }
+    caller_ = *std::move(caller);
     StartRead(&request_);
   }
 
   void OnReadDone(bool ok) override {
     if (!ok) {
-      Finish(ToGrpcStatus(StartOperation()));
+      End(StartOperation());
       return;
     }
-    if (request_.has_header()) {
-      header_ = request_.header();
-    } else {
-      data_.append(request_.data());
-    }
-    if (data_.size() > kMaxImportBytes) {
-      Finish(ToGrpcStatus(absl::InvalidArgumentError(
-          absl::StrCat("the map file is larger than ", kMaxImportBytes, " bytes"))));
+    const absl::Status taken = Take();
+    if (!taken.ok()) {
+      End(taken);
       return;
     }
     StartRead(&request_);
@@ -76,28 +79,47 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
   void OnDone() override { delete this; }
 
  private:
+  absl::Status Take() {
+    if (request_.has_header()) {
+      if (site_) return absl::InvalidArgumentError("the import has two headers");
+      header_ = request_.header();
+      auto site =
+          FindSite(*service_->sites_, header_.site(), Right::kWrite, *service_->access_, caller_);
+      if (!site.ok()) return site.status();
+      site_ = *std::move(site);
+    } else if (!site_) {
+      return absl::InvalidArgumentError("the import does not begin with its header");
+    }
+    data_.append(request_.data());
+    if (data_.size() <= kMaxImportBytes) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat("the map file is larger than ", kMaxImportBytes, " bytes"));
+  }
+
+  void End(const absl::Status& status) {
+    Finish(ToGrpcStatus(service_->access_->Audit(*context_, "import map", header_.site(), status)));
+  }
+
   absl::Status StartOperation() {
-    if (!header_) return absl::InvalidArgumentError("the import has no header");
-    const auto site = FindSite(*service_->sites_, header_->site());
-    if (!site.ok()) return site.status();
-    const auto format = building::MapFormatOfPath(absl::StrCat("map.", header_->format()));
+    if (!site_) return absl::InvalidArgumentError("the import has no header");
+    const auto format = building::MapFormatOfPath(absl::StrCat("map.", header_.format()));
     if (!format) {
       return absl::InvalidArgumentError(
-          absl::StrCat("a map of the format '", header_->format(),
+          absl::StrCat("a map of the format '", header_.format(),
                        "' cannot be imported; bt, ot, ply, pcd and yaml can"));
     }
     std::string picture;
     if (*format == building::MapFormat::kRosYaml) {
-      if (header_->image_offset() < 0 ||
-          header_->image_offset() > static_cast<std::int64_t>(data_.size())) {
+      if (header_.image_offset() < 0 ||
+          header_.image_offset() > static_cast<std::int64_t>(data_.size())) {
         return absl::InvalidArgumentError("image_offset lies outside the data");
       }
-      picture = data_.substr(static_cast<std::size_t>(header_->image_offset()));
-      data_.resize(static_cast<std::size_t>(header_->image_offset()));
+      picture = data_.substr(static_cast<std::size_t>(header_.image_offset()));
+      data_.resize(static_cast<std::size_t>(header_.image_offset()));
     }
     const auto operation = service_->operations_->Start(
-        "import_map", (*site)->record().site, header_->request_id(),
-        [site = *site, format = *format, data = std::move(data_),
+        "import_map", site_->record().site, header_.request_id(),
+        [site = site_, format = *format, data = std::move(data_),
          picture = std::move(picture)](pipeline::OperationContext&) -> absl::StatusOr<std::string> {
           auto building = building::ImportBuilding(format, data, picture, site->profile().import);
           if (!building.ok()) return building.status();
@@ -111,21 +133,24 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
   }
 
   MapService* const service_;
+  grpc::CallbackServerContext* const context_;
   v1::Operation* const response_;
+  Caller caller_;
   v1::ImportMapRequest request_;
-  std::optional<v1::ImportMapHeader> header_;
+  v1::ImportMapHeader header_;
+  std::shared_ptr<pipeline::Site> site_;  // of the header
   std::string data_;
 };
 
-grpc::ServerReadReactor<v1::ImportMapRequest>* MapService::ImportMap(grpc::CallbackServerContext*,
-                                                                     v1::Operation* response) {
-  return new Import(this, response);
+grpc::ServerReadReactor<v1::ImportMapRequest>* MapService::ImportMap(
+    grpc::CallbackServerContext* context, v1::Operation* response) {
+  return new Import(this, context, response);
 }
 
 grpc::ServerWriteReactor<v1::ExportMapResponse>* MapService::ExportMap(
-    grpc::CallbackServerContext*, const v1::ExportMapRequest* request) {
+    grpc::CallbackServerContext* context, const v1::ExportMapRequest* request) {
   using Reactor = StreamReactor<v1::ExportMapResponse>;
-  const auto site = FindSite(*sites_, request->site());
+  const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return new Reactor(site.status());
   auto files = ExportMapFiles(**site, *request);
   if (!files.ok()) return new Reactor(files.status());

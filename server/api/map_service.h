@@ -1,5 +1,6 @@
 #pragma once
 
+#include "api/access.h"
 #include "pipeline/operations.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/map_service.grpc.pb.h"
@@ -8,8 +9,8 @@ namespace soundmap::api {
 
 class MapService : public v1::MapService::CallbackService {
  public:
-  MapService(pipeline::Sites* sites, pipeline::Operations* operations)
-      : sites_(sites), operations_(operations) {}
+  MapService(pipeline::Sites* sites, Access* access, pipeline::Operations* operations)
+      : sites_(sites), access_(access), operations_(operations) {}
 
   grpc::ServerUnaryReactor* BuildMap(grpc::CallbackServerContext* context,
                                      const v1::BuildMapRequest* request,
@@ -23,6 +24,7 @@ class MapService : public v1::MapService::CallbackService {
   class Import;
 
   pipeline::Sites* const sites_;
+  Access* const access_;
   pipeline::Operations* const operations_;
 };
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "api/access.h"
 #include "pipeline/operations.h"
 #include "soundmap/v1/operation_service.grpc.pb.h"
 
@@ -7,7 +8,8 @@ namespace soundmap::api {
 
 class OperationService : public v1::OperationService::CallbackService {
  public:
-  explicit OperationService(pipeline::Operations* operations) : operations_(operations) {}
+  OperationService(pipeline::Operations* operations, Access* access)
+      : operations_(operations), access_(access) {}
 
   grpc::ServerUnaryReactor* GetOperation(grpc::CallbackServerContext* context,
                                          const v1::GetOperationRequest* request,
@@ -23,7 +25,13 @@ class OperationService : public v1::OperationService::CallbackService {
                                             v1::Operation* response) override;
 
  private:
+  // Unauthenticated, PermissionDenied, InvalidArgument, NotFound.
+  absl::StatusOr<pipeline::OperationInfo> Find(const std::string& name,
+                                               const grpc::CallbackServerContext& context,
+                                               Right right);
+
   pipeline::Operations* const operations_;
+  Access* const access_;
 };
 
 }  // namespace soundmap::api

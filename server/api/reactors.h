@@ -3,10 +3,12 @@
 #include <grpcpp/grpcpp.h>
 
 #include <functional>
+#include <string>
 #include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "api/access.h"
 #include "api/status.h"
 
 namespace soundmap::api {
@@ -18,6 +20,24 @@ inline grpc::ServerUnaryReactor* Finish(grpc::CallbackServerContext* context,
   reactor->Finish(ToGrpcStatus(status));
   return reactor;
 }
+
+// The same for a call that changes something: the audit log tells who asked for `deed` on `what`.
+class AuditedFinish {
+ public:
+  AuditedFinish(Access* access, grpc::CallbackServerContext* context, const char* deed,
+                std::string what)
+      : access_(access), context_(context), deed_(deed), what_(std::move(what)) {}
+
+  grpc::ServerUnaryReactor* operator()(const absl::Status& status) const {
+    return Finish(context_, access_->Audit(*context_, deed_, what_, status));
+  }
+
+ private:
+  Access* const access_;
+  grpc::CallbackServerContext* const context_;
+  const char* const deed_;
+  const std::string what_;
+};
 
 // Streams what `next` makes, one message at a time, until it returns false or an error.
 template <typename Message>

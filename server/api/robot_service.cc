@@ -11,10 +11,11 @@
 namespace soundmap::api {
 namespace {
 
-// Every robot once, where it was last seen, by name.
-std::vector<pipeline::RobotInfo> AllRobots(const pipeline::Sites& sites) {
+// Every robot once, where it was last seen at the sites of the grant, by name.
+std::vector<pipeline::RobotInfo> AllRobots(const pipeline::Sites& sites, const Grant& grant) {
   std::map<std::string, pipeline::RobotInfo> newest;
   for (const auto& site : sites.List()) {
+    if (!grant.Reaches(site->record().site)) continue;
     for (pipeline::RobotInfo& robot : site->Robots()) {
       pipeline::RobotInfo& known = newest[robot.robot];
       if (known.robot.empty() || robot.last_seen_ns > known.last_seen_ns) known = std::move(robot);
@@ -31,9 +32,11 @@ std::vector<pipeline::RobotInfo> AllRobots(const pipeline::Sites& sites) {
 grpc::ServerUnaryReactor* RobotService::GetRobot(grpc::CallbackServerContext* context,
                                                  const v1::GetRobotRequest* request,
                                                  v1::Robot* response) {
+  const auto caller = access_->CallerOf(*context);
+  if (!caller.ok()) return Finish(context, caller.status());
   const auto name = ParseRobot(request->name());
   if (!name.ok()) return Finish(context, name.status());
-  for (const pipeline::RobotInfo& robot : AllRobots(*sites_)) {
+  for (const pipeline::RobotInfo& robot : AllRobots(*sites_, caller->grant)) {
     if (robot.robot != *name) continue;
     *response = ToProto(robot);
     return Finish(context, absl::OkStatus());
@@ -47,9 +50,11 @@ grpc::ServerUnaryReactor* RobotService::ListRobots(grpc::CallbackServerContext* 
                                                    v1::ListRobotsResponse* response) {
   std::vector<pipeline::RobotInfo> robots;
   if (request->site().empty()) {
-    robots = AllRobots(*sites_);
+    const auto caller = access_->CallerOf(*context);
+    if (!caller.ok()) return Finish(context, caller.status());
+    robots = AllRobots(*sites_, caller->grant);
   } else {
-    const auto site = FindSite(*sites_, request->site());
+    const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
     if (!site.ok()) return Finish(context, site.status());
     robots = (*site)->Robots();
   }

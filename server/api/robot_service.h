@@ -1,5 +1,6 @@
 #pragma once
 
+#include "api/access.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/robot_service.grpc.pb.h"
 
@@ -7,7 +8,7 @@ namespace soundmap::api {
 
 class RobotService : public v1::RobotService::CallbackService {
  public:
-  explicit RobotService(pipeline::Sites* sites) : sites_(sites) {}
+  RobotService(pipeline::Sites* sites, Access* access) : sites_(sites), access_(access) {}
 
   grpc::ServerUnaryReactor* GetRobot(grpc::CallbackServerContext* context,
                                      const v1::GetRobotRequest* request,
@@ -18,6 +19,7 @@ class RobotService : public v1::RobotService::CallbackService {
 
  private:
   pipeline::Sites* const sites_;
+  Access* const access_;
 };
 
 }  // namespace soundmap::api

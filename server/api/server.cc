@@ -5,8 +5,6 @@
 #include <grpcpp/health_check_service_interface.h>
 
 #include <chrono>
-#include <fstream>
-#include <sstream>
 
 #include "absl/strings/str_cat.h"
 #include "api/ingest_service.h"
@@ -23,62 +21,41 @@ namespace {
 
 // A message of the ingest stream has 256 KiB of payload, a chunk of a map file as much.
 constexpr int kMaxMessageBytes = 1 << 20;
+constexpr int kMaxCallsPerConnection = 512;
 constexpr std::chrono::seconds kDrainTime(2);
-
-absl::StatusOr<std::string> ReadPem(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  std::ostringstream bytes;
-  if (!file || !(bytes << file.rdbuf())) {
-    return absl::NotFoundError(absl::StrCat("cannot read the TLS file ", path));
-  }
-  return std::move(bytes).str();
-}
-
-absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> CredentialsFrom(const TlsFiles& tls) {
-  if (tls.certificate.empty()) return grpc::InsecureServerCredentials();
-  const auto certificate = ReadPem(tls.certificate);
-  if (!certificate.ok()) return certificate.status();
-  const auto key = ReadPem(tls.key);
-  if (!key.ok()) return key.status();
-  grpc::SslServerCredentialsOptions options(
-      tls.client_ca.empty() ? GRPC_SSL_DONT_REQUEST_CLIENT_CERTIFICATE
-                            : GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
-  options.pem_key_cert_pairs.push_back({*key, *certificate});
-  if (!tls.client_ca.empty()) {
-    const auto client_ca = ReadPem(tls.client_ca);
-    if (!client_ca.ok()) return client_ca.status();
-    options.pem_root_certs = *client_ca;
-  }
-  return grpc::SslServerCredentials(options);
-}
 
 class GrpcServer : public Server {
  public:
   explicit GrpcServer(const Parts& parts)
-      : sites_(parts.sites),
-        sessions_(parts.sites, parts.store, parts.now_ns),
-        ingest_(parts.sites, parts.executor),
-        robots_(parts.sites),
-        sound_map_(parts.sites, parts.store),
-        maps_(parts.sites, parts.operations),
-        operations_(parts.operations),
-        watches_(parts.sites, parts.executor, parts.server_id) {}
+      : sites_(parts.sites, parts.access),
+        sessions_(parts.sites, parts.access, parts.store, parts.now_ns),
+        ingest_(parts.sites, parts.access, parts.executor),
+        robots_(parts.sites, parts.access),
+        sound_map_(parts.sites, parts.access, parts.store),
+        maps_(parts.sites, parts.access, parts.operations),
+        operations_(parts.operations, parts.access),
+        watches_(parts.sites, parts.access, parts.executor, parts.server_id) {}
 
   absl::Status Listen(const std::string& address, const TlsFiles& tls) {
-    const auto credentials = CredentialsFrom(tls);
-    if (!credentials.ok()) return credentials.status();
+    const absl::Status checked = CheckTlsFiles(tls);
+    if (!checked.ok()) return checked;
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ServerBuilder builder;
     int port = 0;
-    builder.AddListeningPort(address, *credentials, &port);
+    builder.AddListeningPort(address, GrpcCredentials(tls), &port);
     // Otherwise two servers share a port in silence.
     builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
     // Dead peers are found in half a minute; clients may ping every 10 s.
     builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
     builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
     builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 10'000);
+    builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, 10'000);
+    builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, kMaxCallsPerConnection);
     builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
+    // The limit above is of what arrives; a compressed message may become a thousand times larger.
+    builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_GZIP, false);
+    builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_DEFLATE, false);
     for (grpc::Service* service :
          std::initializer_list<grpc::Service*>{&sites_, &sessions_, &ingest_, &robots_, &sound_map_,
                                                &maps_, &operations_, &watches_}) {

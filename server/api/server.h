@@ -6,18 +6,13 @@
 #include <string>
 
 #include "absl/status/statusor.h"
+#include "api/access.h"
+#include "api/tls.h"
 #include "pipeline/operations.h"
 #include "pipeline/sites.h"
 #include "storage/store.h"
 
 namespace soundmap::api {
-
-struct TlsFiles {
-  std::string certificate;  // PEM; empty: plain text
-  std::string key;
-  std::string
-      client_ca;  // robots and apps must show a certificate that it signed; empty: none asked for
-};
 
 // The gRPC services of soundmap.v1, with health checking and reflection.
 class Server {
@@ -25,14 +20,14 @@ class Server {
   struct Parts {
     pipeline::Sites* sites = nullptr;
     pipeline::Operations* operations = nullptr;
+    Access* access = nullptr;
     const storage::Store* store = nullptr;
     boost::asio::any_io_executor executor;
     std::function<std::int64_t()> now_ns;
     std::string server_id;  // of this run of the server
   };
 
-  // Serves at once. Unavailable: the address cannot be bound. InvalidArgument, NotFound: the TLS
-  // files.
+  // Serves at once. Unavailable: the address cannot be bound. InvalidArgument: the TLS files.
   static absl::StatusOr<std::unique_ptr<Server>> Start(const std::string& address,
                                                        const TlsFiles& tls, const Parts& parts);
   virtual ~Server() = default;

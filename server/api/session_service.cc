@@ -2,6 +2,7 @@
 
 #include <limits>
 
+#include "absl/strings/str_cat.h"
 #include "api/convert.h"
 #include "api/find.h"
 #include "api/paging.h"
@@ -46,20 +47,31 @@ absl::StatusOr<pipeline::SessionRequest> RequestFrom(const v1::CreateSessionRequ
 grpc::ServerUnaryReactor* SessionService::CreateSession(grpc::CallbackServerContext* context,
                                                         const v1::CreateSessionRequest* request,
                                                         v1::Session* response) {
-  const auto site = FindSite(*sites_, request->site());
-  if (!site.ok()) return Finish(context, site.status());
+  const AuditedFinish finish(
+      access_, context, "create session",
+      absl::StrCat(request->site(), "/sessions/", request->session_id(), " of ", request->robot()));
+  const auto caller = access_->CallerOf(*context);
+  if (!caller.ok()) return finish(caller.status());
+  const auto site_name = ParseSite(request->site());
+  if (!site_name.ok()) return finish(site_name.status());
+  const auto robot = ParseRobot(request->robot());
+  if (!robot.ok()) return finish(robot.status());
+  const absl::Status allowed = access_->Check(*caller, Right::kStream, *site_name, *robot);
+  if (!allowed.ok()) return finish(allowed);
   const auto session_request = RequestFrom(*request);
-  if (!session_request.ok()) return Finish(context, session_request.status());
+  if (!session_request.ok()) return finish(session_request.status());
+  const auto site = sites_->Get(*site_name);
+  if (!site.ok()) return finish(site.status());
   const auto session = (*site)->CreateSession(*session_request, now_ns_());
-  if (!session.ok()) return Finish(context, session.status());
+  if (!session.ok()) return finish(session.status());
   *response = ToProto(**session);
-  return Finish(context, absl::OkStatus());
+  return finish(absl::OkStatus());
 }
 
 grpc::ServerUnaryReactor* SessionService::GetSession(grpc::CallbackServerContext* context,
                                                      const v1::GetSessionRequest* request,
                                                      v1::Session* response) {
-  const auto session = FindSession(*sites_, request->name());
+  const auto session = FindSession(*sites_, request->name(), {access_, context, Right::kRead});
   if (!session.ok()) return Finish(context, session.status());
   *response = ToProto(**session);
   return Finish(context, absl::OkStatus());
@@ -68,7 +80,7 @@ grpc::ServerUnaryReactor* SessionService::GetSession(grpc::CallbackServerContext
 grpc::ServerUnaryReactor* SessionService::ListSessions(grpc::CallbackServerContext* context,
                                                        const v1::ListSessionsRequest* request,
                                                        v1::ListSessionsResponse* response) {
-  const auto site = FindSite(*sites_, request->site());
+  const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return Finish(context, site.status());
   std::vector<v1::Session> sessions;
   for (const auto& session : (*site)->Sessions()) {
@@ -87,13 +99,12 @@ grpc::ServerUnaryReactor* SessionService::ListSessions(grpc::CallbackServerConte
 }
 
 grpc::ServerWriteReactor<v1::TrajectoryChunk>* SessionService::GetTrajectory(
-    grpc::CallbackServerContext*, const v1::GetTrajectoryRequest* request) {
+    grpc::CallbackServerContext* context, const v1::GetTrajectoryRequest* request) {
   using Reactor = StreamReactor<v1::TrajectoryChunk>;
-  const auto name = ParseSession(request->name());
-  if (!name.ok()) return new Reactor(name.status());
-  const auto session = FindSession(*sites_, request->name());
+  const auto session = FindSession(*sites_, request->name(), {access_, context, Right::kRead});
   if (!session.ok()) return new Reactor(session.status());
-  return new Reactor([store = store_, id = storage::SessionId{name->site, name->session},
+  const pipeline::SessionRecord record = (*session)->record();
+  return new Reactor([store = store_, id = storage::SessionId{record.site, record.session},
                       from_ns = std::numeric_limits<frames::TimeNs>::min()](
                          v1::TrajectoryChunk& chunk) mutable -> absl::StatusOr<bool> {
     // Cancelled is how this reading is stopped when the chunk is full.

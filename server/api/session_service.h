@@ -1,5 +1,6 @@
 #pragma once
 
+#include "api/access.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/session_service.grpc.pb.h"
 #include "storage/store.h"
@@ -8,9 +9,9 @@ namespace soundmap::api {
 
 class SessionService : public v1::SessionService::CallbackService {
  public:
-  SessionService(pipeline::Sites* sites, const storage::Store* store,
+  SessionService(pipeline::Sites* sites, Access* access, const storage::Store* store,
                  std::function<std::int64_t()> now_ns)
-      : sites_(sites), store_(store), now_ns_(std::move(now_ns)) {}
+      : sites_(sites), access_(access), store_(store), now_ns_(std::move(now_ns)) {}
 
   grpc::ServerUnaryReactor* CreateSession(grpc::CallbackServerContext* context,
                                           const v1::CreateSessionRequest* request,
@@ -26,6 +27,7 @@ class SessionService : public v1::SessionService::CallbackService {
 
  private:
   pipeline::Sites* const sites_;
+  Access* const access_;
   const storage::Store* const store_;
   const std::function<std::int64_t()> now_ns_;
 };

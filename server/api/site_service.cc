@@ -10,16 +10,19 @@ namespace soundmap::api {
 grpc::ServerUnaryReactor* SiteService::CreateSite(grpc::CallbackServerContext* context,
                                                   const v1::CreateSiteRequest* request,
                                                   v1::Site* response) {
+  const AuditedFinish finish(access_, context, "create site", request->site_id());
+  const auto caller = access_->Check(*context, Right::kAdmin, request->site_id());
+  if (!caller.ok()) return finish(caller.status());
   const auto site = sites_->Create(request->site_id(), request->profile(), request->request_id());
-  if (!site.ok()) return Finish(context, site.status());
+  if (!site.ok()) return finish(site.status());
   *response = ToProto(**site);
-  return Finish(context, absl::OkStatus());
+  return finish(absl::OkStatus());
 }
 
 grpc::ServerUnaryReactor* SiteService::GetSite(grpc::CallbackServerContext* context,
                                                const v1::GetSiteRequest* request,
                                                v1::Site* response) {
-  const auto site = FindSite(*sites_, request->name());
+  const auto site = FindSite(*sites_, request->name(), {access_, context, Right::kRead});
   if (!site.ok()) return Finish(context, site.status());
   *response = ToProto(**site);
   return Finish(context, absl::OkStatus());
@@ -28,7 +31,11 @@ grpc::ServerUnaryReactor* SiteService::GetSite(grpc::CallbackServerContext* cont
 grpc::ServerUnaryReactor* SiteService::ListSites(grpc::CallbackServerContext* context,
                                                  const v1::ListSitesRequest* request,
                                                  v1::ListSitesResponse* response) {
-  const auto sites = sites_->List();
+  const auto caller = access_->CallerOf(*context);
+  if (!caller.ok()) return Finish(context, caller.status());
+  auto sites = sites_->List();
+  std::erase_if(sites,
+                [&](const auto& site) { return !caller->grant.Reaches(site->record().site); });
   const auto page = PageOf(sites.size(), request->page_size(), request->page_token());
   if (!page.ok()) return Finish(context, page.status());
   for (std::size_t i = page->begin; i < page->end; ++i) {
@@ -41,9 +48,10 @@ grpc::ServerUnaryReactor* SiteService::ListSites(grpc::CallbackServerContext* co
 grpc::ServerUnaryReactor* SiteService::DeleteSite(grpc::CallbackServerContext* context,
                                                   const v1::DeleteSiteRequest* request,
                                                   v1::DeleteSiteResponse*) {
-  const auto name = ParseSite(request->name());
-  if (!name.ok()) return Finish(context, name.status());
-  return Finish(context, sites_->Delete(*name));
+  const AuditedFinish finish(access_, context, "delete site", request->name());
+  const auto site = FindSite(*sites_, request->name(), {access_, context, Right::kAdmin});
+  if (!site.ok()) return finish(site.status());
+  return finish(sites_->Delete((*site)->record().site));
 }
 
 }  // namespace soundmap::api

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "api/access.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
 
@@ -7,7 +8,7 @@ namespace soundmap::api {
 
 class SiteService : public v1::SiteService::CallbackService {
  public:
-  explicit SiteService(pipeline::Sites* sites) : sites_(sites) {}
+  SiteService(pipeline::Sites* sites, Access* access) : sites_(sites), access_(access) {}
 
   grpc::ServerUnaryReactor* CreateSite(grpc::CallbackServerContext* context,
                                        const v1::CreateSiteRequest* request,
@@ -23,6 +24,7 @@ class SiteService : public v1::SiteService::CallbackService {
 
  private:
   pipeline::Sites* const sites_;
+  Access* const access_;
 };
 
 }  // namespace soundmap::api

@@ -75,8 +75,12 @@ absl::StatusOr<ScanPosition> PositionFrom(const std::string& token) {
 grpc::ServerUnaryReactor* SoundMapService::GetSoundSource(grpc::CallbackServerContext* context,
                                                           const v1::GetSoundSourceRequest* request,
                                                           v1::SoundSource* response) {
+  const auto caller = access_->CallerOf(*context);
+  if (!caller.ok()) return Finish(context, caller.status());
   const auto name = ParseSoundSource(request->name());
   if (!name.ok()) return Finish(context, name.status());
+  const absl::Status allowed = access_->Check(*caller, Right::kRead, name->site);
+  if (!allowed.ok()) return Finish(context, allowed);
   const auto site = sites_->Get(name->site);
   if (!site.ok()) return Finish(context, site.status());
   for (const sound_map::SoundSource& source : (*site)->region().sources()->sources) {
@@ -92,7 +96,7 @@ grpc::ServerUnaryReactor* SoundMapService::GetSoundSource(grpc::CallbackServerCo
 grpc::ServerUnaryReactor* SoundMapService::ListSoundSources(
     grpc::CallbackServerContext* context, const v1::ListSoundSourcesRequest* request,
     v1::ListSoundSourcesResponse* response) {
-  const auto site = FindSite(*sites_, request->site());
+  const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return Finish(context, site.status());
   const std::string site_name = (*site)->record().site;
   const auto all = (*site)->region().sources();
@@ -114,9 +118,9 @@ grpc::ServerUnaryReactor* SoundMapService::ListSoundSources(
 }
 
 grpc::ServerWriteReactor<v1::VoxelChunk>* SoundMapService::QueryVoxels(
-    grpc::CallbackServerContext*, const v1::QueryVoxelsRequest* request) {
+    grpc::CallbackServerContext* context, const v1::QueryVoxelsRequest* request) {
   using Reactor = StreamReactor<v1::VoxelChunk>;
-  const auto site = FindSite(*sites_, request->site());
+  const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return new Reactor(site.status());
   const auto query = QueryFrom(*request);
   if (!query.ok()) return new Reactor(query.status());
@@ -139,7 +143,7 @@ grpc::ServerWriteReactor<v1::VoxelChunk>* SoundMapService::QueryVoxels(
 grpc::ServerUnaryReactor* SoundMapService::ListAudioScans(grpc::CallbackServerContext* context,
                                                           const v1::ListAudioScansRequest* request,
                                                           v1::ListAudioScansResponse* response) {
-  const auto site = FindSite(*sites_, request->site());
+  const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return Finish(context, site.status());
   std::optional<SessionName> session;
   if (!request->session().empty()) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "api/access.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/sound_map_service.grpc.pb.h"
 #include "storage/store.h"
@@ -8,8 +9,8 @@ namespace soundmap::api {
 
 class SoundMapService : public v1::SoundMapService::CallbackService {
  public:
-  SoundMapService(pipeline::Sites* sites, const storage::Store* store)
-      : sites_(sites), store_(store) {}
+  SoundMapService(pipeline::Sites* sites, Access* access, const storage::Store* store)
+      : sites_(sites), access_(access), store_(store) {}
 
   grpc::ServerUnaryReactor* GetSoundSource(grpc::CallbackServerContext* context,
                                            const v1::GetSoundSourceRequest* request,
@@ -25,6 +26,7 @@ class SoundMapService : public v1::SoundMapService::CallbackService {
 
  private:
   pipeline::Sites* const sites_;
+  Access* const access_;
   const storage::Store* const store_;
 };
 

@@ -26,9 +26,11 @@ constexpr std::size_t kEventsPerRead = 64;
 class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
                              public std::enable_shared_from_this<WatchService::Stream> {
  public:
-  Stream(const WatchService& service, std::shared_ptr<pipeline::Site> site,
+  Stream(const WatchService& service, Caller caller, std::shared_ptr<pipeline::Site> site,
          const v1::WatchRequest& request)
       : executor_(service.executor_),
+        access_(service.access_),
+        caller_(std::move(caller)),
         token_prefix_(absl::StrCat(service.server_id_, ":")),
         site_(std::move(site)),
         site_name_(site_->record().site),
@@ -150,6 +152,8 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
       if (cancelled || !self) return;
       std::lock_guard lock(self->mutex_);
       self->heartbeat_due_ = true;
+      const absl::Status granted = self->access_->Recheck(self->caller_);
+      if (!granted.ok()) self->End(ToGrpcStatus(granted));
       self->WriteNext();
       if (!self->end_status_) self->ArmHeartbeat();
     });
@@ -163,6 +167,8 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   }
 
   const boost::asio::any_io_executor executor_;
+  Access* const access_;
+  const Caller caller_;
   const std::string token_prefix_;
   const std::shared_ptr<pipeline::Site> site_;
   const std::string site_name_;
@@ -186,9 +192,11 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   boost::asio::steady_timer heartbeat_;
 };
 
-grpc::ServerWriteReactor<v1::WatchEvent>* WatchService::Watch(grpc::CallbackServerContext*,
+grpc::ServerWriteReactor<v1::WatchEvent>* WatchService::Watch(grpc::CallbackServerContext* context,
                                                               const v1::WatchRequest* request) {
-  auto site = FindSite(*sites_, request->site());
+  auto caller = access_->CallerOf(*context);
+  auto site = caller.ok() ? FindSite(*sites_, request->site(), Right::kRead, *access_, *caller)
+                          : caller.status();
   if (!site.ok()) {
     class Refusal : public grpc::ServerWriteReactor<v1::WatchEvent> {
      public:
@@ -197,7 +205,7 @@ grpc::ServerWriteReactor<v1::WatchEvent>* WatchService::Watch(grpc::CallbackServ
     };
     return new Refusal(site.status());
   }
-  auto stream = std::make_shared<Stream>(*this, *std::move(site), *request);
+  auto stream = std::make_shared<Stream>(*this, *std::move(caller), *std::move(site), *request);
   stream->Start(request->resume_token());
   return stream.get();
 }

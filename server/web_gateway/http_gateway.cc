@@ -1,10 +1,18 @@
 #include "web_gateway/http_gateway.h"
 
+#include <spdlog/spdlog.h>
+
+#include <array>
 #include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/ssl.hpp>
 #include <boost/asio/strand.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
+#include <boost/beast/ssl.hpp>
 #include <chrono>
+#include <filesystem>
+#include <optional>
+#include <type_traits>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -19,11 +27,34 @@ using tcp = asio::ip::tcp;
 
 constexpr std::uint64_t kMaxBodyBytes = 16 << 10;
 constexpr std::chrono::seconds kRequestTimeout(30);
+constexpr std::chrono::seconds kHandshakeTimeout(10);
+constexpr std::chrono::seconds kLookEvery(1);
+constexpr long kMaxConnections = 512;
 
 using Source = HttpGateway::Source;
 
+http::status HttpStatusOf(const absl::Status& status) {
+  switch (status.code()) {
+    case absl::StatusCode::kUnauthenticated:
+      return http::status::unauthorized;
+    case absl::StatusCode::kPermissionDenied:
+      return http::status::forbidden;
+    case absl::StatusCode::kResourceExhausted:
+      return http::status::too_many_requests;
+    default:
+      return http::status::internal_server_error;
+  }
+}
+
+template <typename Stream>
+std::string PeerOf(const Stream& stream) {
+  beast::error_code error;
+  const auto peer = beast::get_lowest_layer(stream).socket().remote_endpoint(error);
+  return error ? "" : peer.address().to_string();
+}
+
 http::response<http::string_body> Answer(const http::request<http::string_body>& request,
-                                         const Source& source) {
+                                         const std::string& peer, const Source& source) {
   http::response<http::string_body> response(http::status::ok, request.version());
   response.set(http::field::content_type, "text/plain; charset=utf-8");
   response.keep_alive(request.keep_alive());
@@ -38,8 +69,16 @@ http::response<http::string_body> Answer(const http::request<http::string_body>&
     response.set(http::field::allow, "GET, HEAD");
     response.body() = "only GET\n";
   } else if (metrics) {
-    response.set(http::field::content_type, "text/plain; version=0.0.4; charset=utf-8");
-    response.body() = source.metrics();
+    const std::string authorization(request[http::field::authorization]);
+    const auto caller = source.access->CallerOf({.authorization = authorization, .peer = peer});
+    if (caller.ok()) {
+      response.set(http::field::content_type, "text/plain; version=0.0.4; charset=utf-8");
+      response.body() = source.metrics();
+    } else {
+      response.result(HttpStatusOf(caller.status()));
+      response.set(http::field::www_authenticate, "Bearer");
+      response.body() = absl::StrCat(caller.status().message(), "\n");
+    }
   } else if (ready && !source.is_ready()) {
     response.result(http::status::service_unavailable);
     response.body() = "not serving\n";
@@ -51,36 +90,96 @@ http::response<http::string_body> Answer(const http::request<http::string_body>&
   return response;
 }
 
-// One connection: requests one after the other until the peer closes or is too slow.
-class Connection : public std::enable_shared_from_this<Connection> {
+// One connection: the handshake, then requests one after the other until the peer closes or is too
+// slow. `Stream` is a tcp_stream or an ssl_stream over one.
+template <typename Stream>
+class Connection : public std::enable_shared_from_this<Connection<Stream>> {
  public:
-  Connection(tcp::socket socket, Source source)
-      : stream_(std::move(socket)), source_(std::move(source)) {}
+  template <typename... Tls>
+  Connection(std::shared_ptr<const Source> source, tcp::socket socket, Tls&... tls)
+      : source_(std::move(source)), stream_(std::move(socket), tls...) {}
 
-  void Read() {
-    parser_.emplace();
-    parser_->body_limit(kMaxBodyBytes);
-    stream_.expires_after(kRequestTimeout);
-    http::async_read(stream_, buffer_, *parser_,
-                     [self = shared_from_this()](beast::error_code error, std::size_t) {
-                       if (!error) self->Write();
-                     });
+  void Start() {
+    if constexpr (std::is_same_v<Stream, beast::tcp_stream>) {
+      Read();
+    } else {
+      beast::get_lowest_layer(stream_).expires_after(kHandshakeTimeout);
+      stream_.async_handshake(asio::ssl::stream_base::server,
+                              [self = this->shared_from_this()](beast::error_code error) {
+                                if (!error) self->Read();
+                              });
+    }
   }
 
  private:
+  void Read() {
+    parser_.emplace();
+    parser_->body_limit(kMaxBodyBytes);
+    beast::get_lowest_layer(stream_).expires_after(kRequestTimeout);
+    http::async_read(stream_, buffer_, *parser_,
+                     [self = this->shared_from_this()](beast::error_code error, std::size_t) {
+                       if (!error) self->Write();
+                     });
+  }
   void Write() {
-    response_ = Answer(parser_->get(), source_);
+    response_ = Answer(parser_->get(), PeerOf(stream_), *source_);
     http::async_write(stream_, response_,
-                      [self = shared_from_this()](beast::error_code error, std::size_t) {
+                      [self = this->shared_from_this()](beast::error_code error, std::size_t) {
                         if (!error && self->response_.keep_alive()) self->Read();
                       });
   }
 
-  beast::tcp_stream stream_;
-  const Source source_;
+  const std::shared_ptr<const Source> source_;  // counts the connections, too
+  Stream stream_;
   beast::flat_buffer buffer_{kMaxBodyBytes};
   std::optional<http::request_parser<http::string_body>> parser_;
   http::response<http::string_body> response_;
+};
+
+// What connections are accepted with; made anew when a file changes.
+class TlsContext {
+ public:
+  explicit TlsContext(const api::TlsFiles& files) : files_(files) {}
+
+  // InvalidArgument: as api::CheckTlsFiles() says; what was there before stays.
+  absl::Status Refresh() {
+    looked_ = std::chrono::steady_clock::now();
+    const std::array<WriteTime, 2> written = {WrittenAt(files_.certificate), WrittenAt(files_.key)};
+    if (context_ && written == written_) return absl::OkStatus();
+    written_ = written;
+    const absl::Status checked = api::CheckTlsFiles(files_);
+    if (!checked.ok()) return checked;
+    auto context = std::make_shared<asio::ssl::context>(asio::ssl::context::tls_server);
+    beast::error_code error;
+    SSL_CTX_set_min_proto_version(context->native_handle(), TLS1_3_VERSION);
+    context->use_certificate_chain_file(files_.certificate, error);
+    if (!error) context->use_private_key_file(files_.key, asio::ssl::context::pem, error);
+    if (error) return absl::InvalidArgumentError(error.message());
+    context_ = std::move(context);
+    return absl::OkStatus();
+  }
+
+  asio::ssl::context& Get() {
+    if (std::chrono::steady_clock::now() - looked_ >= kLookEvery) {
+      const absl::Status refreshed = Refresh();
+      if (!refreshed.ok()) {
+        spdlog::error("{}; the certificate stays as it was", std::string(refreshed.message()));
+      }
+    }
+    return *context_;
+  }
+
+ private:
+  using WriteTime = std::filesystem::file_time_type;
+  static WriteTime WrittenAt(const std::string& path) {
+    std::error_code error;
+    return std::filesystem::last_write_time(path, error);
+  }
+
+  const api::TlsFiles files_;
+  std::shared_ptr<asio::ssl::context> context_;
+  std::array<WriteTime, 2> written_;
+  std::chrono::steady_clock::time_point looked_;
 };
 
 }  // namespace
@@ -88,7 +187,12 @@ class Connection : public std::enable_shared_from_this<Connection> {
 class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
  public:
   Listener(const asio::any_io_executor& executor, Source source)
-      : acceptor_(asio::make_strand(executor)), source_(std::move(source)) {}
+      : acceptor_(asio::make_strand(executor)),
+        source_(std::make_shared<const Source>(std::move(source))) {}
+
+  absl::Status UseTls(const api::TlsFiles& files) {
+    return files.on() ? tls_.emplace(files).Refresh() : absl::OkStatus();
+  }
 
   beast::error_code Open(const tcp::endpoint& endpoint) {
     beast::error_code error;
@@ -105,7 +209,9 @@ class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
         asio::make_strand(acceptor_.get_executor()),
         [self = shared_from_this()](beast::error_code error, tcp::socket socket) {
           if (error == asio::error::operation_aborted) return;
-          if (!error) std::make_shared<Connection>(std::move(socket), self->source_)->Read();
+          if (!error && self->source_.use_count() <= kMaxConnections) {
+            self->Serve(std::move(socket));
+          }
           self->Accept();
         });
   }
@@ -118,12 +224,24 @@ class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
   }
 
  private:
+  void Serve(tcp::socket socket) {
+    if (tls_) {
+      std::make_shared<Connection<beast::ssl_stream<beast::tcp_stream>>>(source_, std::move(socket),
+                                                                         tls_->Get())
+          ->Start();
+    } else {
+      std::make_shared<Connection<beast::tcp_stream>>(source_, std::move(socket))->Start();
+    }
+  }
+
   tcp::acceptor acceptor_;
-  const Source source_;
+  const std::shared_ptr<const Source> source_;
+  std::optional<TlsContext> tls_;  // on the acceptor's strand
 };
 
 absl::StatusOr<std::unique_ptr<HttpGateway>> HttpGateway::Start(
-    const asio::any_io_executor& executor, const std::string& address, Source source) {
+    const asio::any_io_executor& executor, const std::string& address, const api::TlsFiles& tls,
+    Source source) {
   const std::size_t colon = address.rfind(':');
   int port = -1;
   beast::error_code error;
@@ -138,6 +256,8 @@ absl::StatusOr<std::unique_ptr<HttpGateway>> HttpGateway::Start(
         absl::StrCat("the HTTP address '", address, "' is not HOST:PORT with a numeric host"));
   }
   auto listener = std::make_shared<Listener>(executor, std::move(source));
+  const absl::Status secured = listener->UseTls(tls);
+  if (!secured.ok()) return secured;
   error = listener->Open({host, static_cast<std::uint16_t>(port)});
   if (error) {
     return absl::UnavailableError(
