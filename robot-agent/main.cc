@@ -25,6 +25,7 @@
 #include "sources/replay/replay.h"
 #include "sources/simulation/random_scene.h"
 #include "sources/simulation/simulate.h"
+#include "sources/snapped_source.h"
 #include "uplink/channel.h"
 #include "uplink/uploader.h"
 
@@ -72,6 +73,8 @@ struct ReplayCommand {
   std::string purpose = "listening";
   bool new_session = false;
   double laser_time_increment_s = 0.0;
+  double lidar_resolution_m = 0.001;
+  bool uncoded = false;
   recording::DriveTopics topics;
   std::string server = "127.0.0.1:7443";
   std::string token_file;
@@ -157,6 +160,8 @@ absl::Status RunReplay(const ReplayCommand& command) {
     std::fprintf(stderr, "soundmap-robot: warning: %s\n", warning.c_str());
   }
   if (double speed = 0.0; absl::SimpleAtod(command.speed, &speed)) options.speed = speed;
+  options.coded = !command.uncoded;
+  options.lidar_resolution_m = command.lidar_resolution_m;
   options.give_up_after =
       std::chrono::milliseconds(static_cast<std::int64_t>(command.connect_timeout_s * 1e3));
 
@@ -180,7 +185,8 @@ absl::Status RunReplay(const ReplayCommand& command) {
   uplink::Uploader uploader(*channel, options, &std::chrono::steady_clock::now,
                             std::mt19937_64(std::random_device()()));
   const auto begin = std::chrono::steady_clock::now();
-  const auto result = uploader.Upload(**replay, show);
+  sources::SnappedSource source(replay->get(), command.lidar_resolution_m);
+  const auto result = uploader.Upload(source, show);
   line.Clear();
   if (!result.ok()) return result.status();
 
@@ -191,9 +197,12 @@ absl::Status RunReplay(const ReplayCommand& command) {
     std::printf("%s: all %d frames were processed before\n", result->session.c_str(),
                 static_cast<int>(result->frame_count));
   } else {
-    std::printf("%s: %d frames (%.1f s of driving) processed in %.1f s, %.1f x real time\n",
-                result->session.c_str(), static_cast<int>(result->frame_count), drive_s, elapsed_s,
-                drive_s / elapsed_s);
+    std::printf(
+        "%s: %d frames (%.1f s of driving) processed in %.1f s, %.1f x real time; %.1f MB sent "
+        "for %.1f MB\n",
+        result->session.c_str(), static_cast<int>(result->frame_count), drive_s, elapsed_s,
+        drive_s / elapsed_s, static_cast<double>(result->payload_bytes) * 1e-6,
+        static_cast<double>(result->message_bytes) * 1e-6);
   }
   return survey.damage;
 }
@@ -239,6 +248,13 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
       ->add_option("--laser-time-increment", command.laser_time_increment_s,
                    "Seconds between two beams of the LRF; 0: a scan is instantaneous")
       ->check(CLI::Range(0.0, 1.0));
+  replay
+      ->add_option("--lidar-resolution", command.lidar_resolution_m,
+                   "Metres on whose multiples LIDAR points are put, so that they travel short; 0: "
+                   "they stay as they are")
+      ->check(CLI::Range(0.0, 0.1))
+      ->capture_default_str();
+  replay->add_flag("--uncoded", command.uncoded, "Send audio and points as they are recorded");
   replay->add_option("--audio-topic", command.topics.audio)->capture_default_str();
   replay->add_option("--lidar-topic", command.topics.lidar)->capture_default_str();
   replay->add_option("--laser-topic", command.topics.laser)->capture_default_str();

@@ -33,24 +33,36 @@ ChunkBuilder::ChunkBuilder(std::int64_t first_offset) {
   request_.mutable_chunk()->set_first_offset(first_offset);
 }
 
-v1::Frame& ChunkBuilder::AddFrame(const sources::SensorFrame& frame, std::string_view payload) {
+v1::Frame& ChunkBuilder::AddFrame(const OutgoingFrame& frame, std::string_view payload) {
   v1::Frame& out = *request_.mutable_chunk()->add_frames();
-  out.set_sensor(ToProto(frame.sensor));
-  out.set_log_time_ns(static_cast<std::uint64_t>(frame.log_time_ns));
+  out.set_sensor(ToProto(frame.frame.sensor));
+  out.set_log_time_ns(static_cast<std::uint64_t>(frame.frame.log_time_ns));
+  if (frame.coding != v1::CODING_UNSPECIFIED) {
+    out.set_coding(frame.coding);
+    out.set_message_bytes(static_cast<std::uint32_t>(frame.message_bytes));
+  }
   out.set_payload(payload.data(), payload.size());
   payload_bytes_ += static_cast<std::int64_t>(payload.size());
   crc_ = ExtendCrc32c(crc_, payload);
   return out;
 }
 
-void ChunkBuilder::Add(const sources::SensorFrame& frame) { AddFrame(frame, frame.payload); }
+void ChunkBuilder::Add(const OutgoingFrame& frame) {
+  AddFrame(frame, frame.frame.payload);
+  credit_bytes_ += frame.message_bytes;
+}
 
-void ChunkBuilder::AddPart(const sources::SensorFrame& frame, std::int64_t part_bytes,
+void ChunkBuilder::AddPart(const OutgoingFrame& frame, std::int64_t part_bytes,
                            std::uint32_t part) {
+  const std::string_view payload = frame.frame.payload;
   const auto bytes = static_cast<std::size_t>(part_bytes);
-  v1::Frame& out = AddFrame(frame, std::string_view(frame.payload).substr(part * bytes, bytes));
+  v1::Frame& out = AddFrame(frame, payload.substr(part * bytes, bytes));
+  const auto parts = static_cast<std::uint32_t>((payload.size() + bytes - 1) / bytes);
   out.set_part(part);
-  out.set_part_count(static_cast<std::uint32_t>((frame.payload.size() + bytes - 1) / bytes));
+  out.set_part_count(parts);
+  credit_bytes_ += frame.coding == v1::CODING_UNSPECIFIED
+                       ? static_cast<std::int64_t>(out.payload().size())
+                       : (frame.message_bytes + parts - 1) / parts;
 }
 
 const v1::IngestRequest& ChunkBuilder::Finish() {

@@ -8,6 +8,8 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "google/rpc/status_details.pb.h"
+#include "recording/frame_coding.h"
+#include "sources/sensor_format.h"
 #include "uplink/chunk_builder.h"
 
 namespace soundmap::uplink {
@@ -46,10 +48,11 @@ class Pace {
   std::int64_t start_log_time_ns_ = 0;
 };
 
-// The frames still to be sent, one looked ahead.
+// The frames still to be sent, one looked ahead, coded.
 class Outbox {
  public:
-  explicit Outbox(sources::FrameSource& source) : source_(source) {}
+  Outbox(sources::FrameSource& source, recording::FrameCoding coding)
+      : source_(source), coding_(std::move(coding)) {}
 
   absl::Status Seek(std::int64_t offset) {
     if (absl::Status status = source_.Seek(offset); !status.ok()) return status;
@@ -63,7 +66,7 @@ class Outbox {
   }
 
   // The frame at hand, at offset(), of which the parts before part() are sent; none at the end.
-  const std::optional<sources::SensorFrame>& frame() const { return frame_; }
+  const std::optional<OutgoingFrame>& frame() const { return frame_; }
   std::int64_t offset() const { return offset_; }
   std::uint32_t part() const { return part_; }
   void AdvancePart() { ++part_; }
@@ -71,21 +74,27 @@ class Outbox {
  private:
   absl::Status Load() {
     part_ = 0;
+    frame_.reset();
     auto frame = source_.Next();
     if (!frame.ok()) return frame.status();
-    frame_ = *std::move(frame);
+    if (!*frame) return absl::OkStatus();
+    frame_ = OutgoingFrame{**std::move(frame)};
+    frame_->message_bytes = frame_->payload_bytes();
+    recording::CodedFrame coded = recording::CodeFrame(
+        sources::FormatOf(frame_->frame.sensor).schema, frame_->frame.payload, coding_);
+    if (coded.coding != v1::CODING_UNSPECIFIED) {
+      frame_->coding = coded.coding;
+      frame_->frame.payload = std::move(coded.bytes);
+    }
     return absl::OkStatus();
   }
 
   sources::FrameSource& source_;
-  std::optional<sources::SensorFrame> frame_;
+  const recording::FrameCoding coding_;
+  std::optional<OutgoingFrame> frame_;
   std::int64_t offset_ = 0;
   std::uint32_t part_ = 0;
 };
-
-std::int64_t PayloadBytes(const sources::SensorFrame& frame) {
-  return static_cast<std::int64_t>(frame.payload.size());
-}
 
 bool IsRetryable(const absl::Status& status, bool with_retry_info) {
   return absl::IsUnavailable(status) || (absl::IsResourceExhausted(status) && with_retry_info);
@@ -185,7 +194,12 @@ absl::StatusOr<bool> Uploader::SendFrames(IngestStream& stream, sources::FrameSo
   const std::int64_t chunk_bytes = limits.max_chunk_bytes() > 0
                                        ? std::min(limits.max_chunk_bytes(), kMaxChunkBytes)
                                        : kMaxChunkBytes;
-  Outbox outbox(source);
+  recording::FrameCoding coding;
+  coding.lidar_resolution_m = options_.lidar_resolution_m;
+  for (const int offered : state.welcome->codings()) {
+    if (options_.coded) coding.allowed.insert(static_cast<v1::Coding>(offered));
+  }
+  Outbox outbox(source, coding);
   Pace pace(options_.speed, clock_);
   if (absl::Status status = outbox.Seek(state.welcome->resume_offset()); !status.ok()) {
     return status;
@@ -215,40 +229,46 @@ absl::StatusOr<bool> Uploader::SendFrames(IngestStream& stream, sources::FrameSo
       finished = true;
       continue;
     }
-    if (const nanoseconds wait = pace.Wait(outbox.frame()->log_time_ns); wait > nanoseconds(0)) {
+    if (const nanoseconds wait = pace.Wait(outbox.frame()->frame.log_time_ns);
+        wait > nanoseconds(0)) {
       stream.WaitForNews(state, wait);
       continue;
     }
-    const std::int64_t frame_bytes = PayloadBytes(*outbox.frame());
-    if (limits.max_frame_bytes() > 0 && frame_bytes > limits.max_frame_bytes()) {
+    const std::int64_t message_bytes = outbox.frame()->message_bytes;
+    if (limits.max_frame_bytes() > 0 && message_bytes > limits.max_frame_bytes()) {
       return absl::InvalidArgumentError(
-          absl::StrCat("frame ", outbox.offset(), " of the drive has ", frame_bytes,
+          absl::StrCat("frame ", outbox.offset(), " of the drive has ", message_bytes,
                        " bytes; the server takes ", limits.max_frame_bytes()));
     }
-    if (std::min(frame_bytes, chunk_bytes) > state.credit_bytes) {
+    if (std::min(message_bytes, chunk_bytes) > state.credit_bytes) {
       stream.WaitForNews(state, std::nullopt);
       continue;
     }
 
     ChunkBuilder chunk(outbox.offset());
+    const std::int64_t frame_bytes = outbox.frame()->payload_bytes();
     if (frame_bytes > chunk_bytes) {
       chunk.AddPart(*outbox.frame(), chunk_bytes, outbox.part());
       outbox.AdvancePart();
       if (outbox.part() * chunk_bytes >= frame_bytes) {
         ++result_.sent_count;
+        result_.message_bytes += message_bytes;
         if (absl::Status status = outbox.Advance(); !status.ok()) return status;
       }
     } else {
-      const std::int64_t room_bytes = std::min(chunk_bytes, state.credit_bytes);
-      while (outbox.frame() && chunk.frame_count() < kMaxChunkFrames &&
-             chunk.payload_bytes() + PayloadBytes(*outbox.frame()) <= room_bytes &&
-             pace.Wait(outbox.frame()->log_time_ns) <= nanoseconds(0)) {
+      // The first may overdraw the credit.
+      do {
+        result_.message_bytes += outbox.frame()->message_bytes;
         chunk.Add(*outbox.frame());
         ++result_.sent_count;
         if (absl::Status status = outbox.Advance(); !status.ok()) return status;
-      }
+      } while (outbox.frame() && chunk.frame_count() < kMaxChunkFrames &&
+               chunk.payload_bytes() + outbox.frame()->payload_bytes() <= chunk_bytes &&
+               chunk.credit_bytes() + outbox.frame()->message_bytes <= state.credit_bytes &&
+               pace.Wait(outbox.frame()->frame.log_time_ns) <= nanoseconds(0));
     }
-    stream.SpendCredit(chunk.payload_bytes());
+    result_.payload_bytes += chunk.payload_bytes();
+    stream.SpendCredit(chunk.credit_bytes());
     broken = !stream.Write(chunk.Finish());
   }
 }

@@ -21,7 +21,10 @@ struct UploadOptions {
   std::string server;  // for sentences
   std::string token;   // bearer token; empty: none
   v1::CreateSessionRequest session;
-  std::optional<double> speed;  // log times real time; none: as fast as the server takes it
+  // Codes what the server decodes; otherwise every message travels as it is.
+  bool coded = true;
+  double lidar_resolution_m = 0.0;  // on whose multiples LIDAR points lie; 0: on none
+  std::optional<double> speed;      // log times real time; none: as fast as the server takes it
   std::chrono::milliseconds give_up_after{60'000};  // of trying in vain
   std::chrono::milliseconds first_backoff{
       200};  // full jitter: before the n-th further attempt a random part of
@@ -41,6 +44,8 @@ struct UploadResult {
   std::int64_t frame_count = 0;  // of the session
   std::int64_t sent_count =
       0;  // frames that went over the wire now; 0 when the server had all of them
+  std::int64_t message_bytes = 0;  // of these, as they are
+  std::int64_t payload_bytes = 0;  // and as they travelled
 };
 
 // Brings the frames of a drive to the server: in order, in chunks, within the credit that it

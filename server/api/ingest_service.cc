@@ -1,5 +1,6 @@
 #include "api/ingest_service.h"
 
+#include <algorithm>
 #include <boost/asio/post.hpp>
 #include <optional>
 #include <utility>
@@ -7,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "api/find.h"
 #include "api/status.h"
+#include "recording/frame_coding.h"
 #include "storage/crc32c.h"
 
 namespace soundmap::api {
@@ -36,6 +38,15 @@ std::optional<SensorFormat> FormatOf(v1::Sensor sensor) {
     default:
       return std::nullopt;
   }
+}
+
+// What the frame, or the part of one, takes of the robot's credit: its bytes before it was coded.
+std::int64_t CreditFor(const v1::Frame& frame) {
+  if (frame.coding() == v1::CODING_UNSPECIFIED) {
+    return static_cast<std::int64_t>(frame.payload().size());
+  }
+  const std::int64_t parts = std::max<std::int64_t>(frame.part_count(), 1);
+  return (frame.message_bytes() + parts - 1) / parts;
 }
 
 }  // namespace
@@ -153,14 +164,19 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
     welcome.set_resume_offset(resume_offset);
     welcome.mutable_limits()->set_max_chunk_bytes(kMaxChunkBytes);
     welcome.mutable_limits()->set_max_frame_bytes(kMaxFrameBytes);
+    for (const v1::Coding coding : {v1::CODING_FLAC, v1::CODING_POINTS, v1::CODING_ZSTD}) {
+      welcome.add_codings(coding);
+    }
     return absl::OkStatus();
   }
 
   absl::Status HandleChunk(v1::Chunk& chunk) {
     if (!session_) return absl::FailedPreconditionError("the first message must be `open`");
     std::int64_t bytes = 0;
+    std::int64_t credit = 0;
     std::uint32_t crc = 0;
     for (const v1::Frame& frame : chunk.frames()) {
+      credit += CreditFor(frame);
       bytes += static_cast<std::int64_t>(frame.payload().size());
       crc = storage::Crc32c(frame.payload(), crc);
     }
@@ -174,10 +190,13 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
     }
     {
       std::lock_guard lock(mutex_);
-      received_bytes_ += bytes;
-      if (received_bytes_ > granted_bytes_) {
+      // One frame may be larger than the window.
+      const std::int64_t needed =
+          chunk.frames_size() == 1 ? std::min(credit, kMaxChunkBytes) : credit;
+      if (received_bytes_ + needed > granted_bytes_) {
         return absl::ResourceExhaustedError("the robot sends more than it has credit for");
       }
+      received_bytes_ += credit;
     }
     std::int64_t offset = chunk.first_offset();
     for (v1::Frame& frame : *chunk.mutable_frames()) {
@@ -195,6 +214,10 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
         if (!*whole) return absl::OkStatus();
         frame.set_payload(std::exchange(parts_, {}));
         next_part_ = 0;
+      }
+      if (frame.coding() != v1::CODING_UNSPECIFIED) {
+        const absl::Status decoded = Decode(frame, offset);
+        if (!decoded.ok()) return decoded;
       }
       recording::Message message;
       message.topic = format->topic;
@@ -214,6 +237,21 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
       gap_open_ = false;
       ++offset;
     }
+    return absl::OkStatus();
+  }
+
+  // Makes the payload the message that it stands for.
+  static absl::Status Decode(v1::Frame& frame, std::int64_t offset) {
+    if (frame.message_bytes() > kMaxFrameBytes) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("frame ", offset, " is larger than ", kMaxFrameBytes, " bytes"));
+    }
+    auto message = recording::DecodeFrame(frame.coding(), frame.payload(), frame.message_bytes());
+    if (!message.ok()) {
+      return absl::Status(message.status().code(),
+                          absl::StrCat("frame ", offset, ": ", message.status().message()));
+    }
+    frame.set_payload(*std::move(message));
     return absl::OkStatus();
   }
 

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "recording/frame_coding.h"
+
 namespace soundmap::uplink {
 namespace {
 
@@ -61,6 +63,11 @@ std::string ScriptedServer::authorization() const {
   return authorization_;
 }
 
+std::int64_t ScriptedServer::payload_bytes() const {
+  std::lock_guard lock(mutex_);
+  return payload_bytes_;
+}
+
 void ScriptedServer::Complain(const std::string& what) {
   std::lock_guard lock(mutex_);
   complaints_.push_back(what);
@@ -104,6 +111,7 @@ grpc::Status ScriptedServer::Ingest(
   response.mutable_welcome()->set_resume_offset(received());
   response.mutable_welcome()->mutable_limits()->set_max_chunk_bytes(kMaxChunkBytes);
   response.mutable_welcome()->mutable_limits()->set_max_frame_bytes(16 << 20);
+  for (const v1::Coding coding : script.codings) response.mutable_welcome()->add_codings(coding);
   stream->Write(response);
   response.Clear();
   response.mutable_credit()->set_bytes(credit_bytes_);
@@ -126,14 +134,23 @@ grpc::Status ScriptedServer::Ingest(
     }
     const v1::Chunk& chunk = request.chunk();
     std::int64_t bytes = 0;
+    std::int64_t credit = 0;
     std::uint32_t crc = 0;
     for (const v1::Frame& frame : chunk.frames()) {
       bytes += static_cast<std::int64_t>(frame.payload().size());
+      const std::int64_t parts = std::max<std::int64_t>(frame.part_count(), 1);
+      credit += frame.coding() == v1::CODING_UNSPECIFIED
+                    ? static_cast<std::int64_t>(frame.payload().size())
+                    : (frame.message_bytes() + parts - 1) / parts;
       crc = BitwiseCrc32c(crc, frame.payload());
+    }
+    {
+      std::lock_guard lock(mutex_);
+      payload_bytes_ += bytes;
     }
     if (bytes > kMaxChunkBytes) Complain("a chunk of " + std::to_string(bytes) + " bytes");
     if (crc != chunk.crc32c()) Complain("a wrong checksum");
-    if (bytes > credit_bytes) Complain("more than there is credit for");
+    if (std::min(credit, kMaxChunkBytes) > credit_bytes) Complain("more than there is credit for");
     if (chunk.frames().empty()) Complain("an empty chunk");
     if (rewinding && chunk.first_offset() == script.rewind_to) {
       rewinding = false;
@@ -171,21 +188,29 @@ grpc::Status ScriptedServer::Ingest(
           payload = std::exchange(parts, {});
           next_part = 0;
         }
+        if (frame.coding() != v1::CODING_UNSPECIFIED) {
+          if (std::count(script.codings.begin(), script.codings.end(), frame.coding()) == 0) {
+            Complain("a coding that was not offered");
+          }
+          auto message = recording::DecodeFrame(frame.coding(), payload, frame.message_bytes());
+          if (!message.ok()) Complain(message.status().ToString());
+          payload = message.value_or("");
+        }
         std::lock_guard lock(mutex_);
         frames_.push_back(
             {frame.sensor(), static_cast<std::int64_t>(frame.log_time_ns()), payload});
         ++next_offset;
       }
     }
-    credit_bytes -= bytes;
+    credit_bytes -= credit;
     response.Clear();
     response.mutable_ack()->set_received(received());
     response.mutable_ack()->set_durable(received());
     response.mutable_ack()->set_processed(received());
     stream->Write(response);
     response.Clear();
-    response.mutable_credit()->set_bytes(bytes);
-    credit_bytes += bytes;
+    response.mutable_credit()->set_bytes(credit);
+    credit_bytes += credit;
     stream->Write(response);
   }
   Complain("the stream ended without `finish`");

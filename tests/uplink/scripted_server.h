@@ -31,6 +31,7 @@ struct Connection {
   std::int64_t rewind_to = 0;
   std::optional<std::int64_t> drain_at_offset;
   grpc::Status refuse_session = grpc::Status::OK;  // the answer to CreateSession
+  std::vector<v1::Coding> codings;                 // that it offers
 };
 
 // A server that keeps what it is sent and complains of everything that breaks the protocol. Frames
@@ -53,6 +54,7 @@ class ScriptedServer final : public v1::IngestService::Service, public v1::Sessi
   int connection_count() const;
   v1::CreateSessionRequest session_request() const;
   std::string authorization() const;
+  std::int64_t payload_bytes() const;  // that came, coded
 
   grpc::Status CreateSession(grpc::ServerContext* context, const v1::CreateSessionRequest* request,
                              v1::Session* response) override;
@@ -75,6 +77,7 @@ class ScriptedServer final : public v1::IngestService::Service, public v1::Sessi
   v1::CreateSessionRequest session_request_;
   std::string authorization_;
   std::int64_t epoch_ = 0;
+  std::int64_t payload_bytes_ = 0;
   int session_count_ = 0;
 };
 

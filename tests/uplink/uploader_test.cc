@@ -8,6 +8,8 @@
 #include <thread>
 #include <vector>
 
+#include "recording/foxglove_messages.h"
+#include "recording/frame_coding.h"
 #include "tests/uplink/scripted_server.h"
 #include "uplink/channel.h"
 #include "uplink/chunk_builder.h"
@@ -126,6 +128,63 @@ TEST(Uploader, BringsEveryFrameWithinTheCredit) {
     EXPECT_EQ(again->sent_count, 0);
     EXPECT_THAT(server.complaints(), IsEmpty());
   }
+}
+
+// Audio of several sizes, that of silence far beyond a chunk; points; noise that no coding
+// shortens.
+std::vector<SensorFrame> CodableFrames() {
+  std::mt19937 random(2);
+  std::vector<SensorFrame> frames;
+  for (int i = 0; i < 60; ++i) {
+    SensorFrame frame;
+    frame.log_time_ns = 1'000'000'000 + 1'000'000ll * i;
+    const int samples = i % 20 == 3 ? 60'000 : 100 * i;
+    std::vector<std::int16_t> audio(static_cast<std::size_t>(16 * samples));
+    if (i % 20 != 3) {
+      for (auto& sample : audio) sample = static_cast<std::int16_t>(random() % 500);
+    }
+    frame.payload = recording::MakeRawAudio(1'000'000, 16'000, 16, audio).SerializeAsString();
+    if (i % 3 == 1) {
+      std::vector<Eigen::Vector3f> points(static_cast<std::size_t>(i * 200));
+      for (auto& point : points) point = 0.001f * Eigen::Vector3f(random() % 99, 2000, 50);
+      frame.sensor = Sensor::kLidar;
+      frame.payload = recording::SnapFrame(
+          "foxglove.PointCloud", recording::MakePointCloud(1, points).SerializeAsString(), 0.001);
+    }
+    if (i % 20 == 17) {
+      for (char& byte : frame.payload) byte = static_cast<char>(random());
+    }
+    frames.push_back(frame);
+  }
+  return frames;
+}
+
+TEST(Uploader, CodesWhatTheServerDecodes) {
+  const std::vector<SensorFrame> frames = CodableFrames();
+  UploadOptions options = Options();
+  options.lidar_resolution_m = 0.001;
+  for (const std::int64_t credit_bytes : {256 << 10, 8 << 20}) {
+    // The second connection, to which an older server has come back, has fewer codings.
+    ScriptedServer server(
+        credit_bytes,
+        {{.fail_at_offset = 30, .codings = {v1::CODING_FLAC, v1::CODING_POINTS, v1::CODING_ZSTD}},
+         {.fail_at_offset = 45, .codings = {v1::CODING_FLAC}},
+         {}});
+    server.Start();
+    const auto result = Upload(server.address(), options, frames);
+    ASSERT_TRUE(result.ok()) << result.status();
+    EXPECT_THAT(server.complaints(), IsEmpty());
+    EXPECT_TRUE(server.frames() == AsReceived(frames));
+    EXPECT_LT(result->payload_bytes, result->message_bytes * 3 / 4);
+    EXPECT_GE(result->payload_bytes, server.payload_bytes());  // some was lost on its way
+  }
+  options.coded = false;
+  ScriptedServer server(8 << 20, {{.codings = {v1::CODING_FLAC}}});
+  server.Start();
+  const auto result = Upload(server.address(), options, frames);
+  ASSERT_TRUE(result.ok()) << result.status();
+  EXPECT_EQ(result->payload_bytes, result->message_bytes);
+  EXPECT_TRUE(server.frames() == AsReceived(frames));
 }
 
 TEST(Uploader, GoesOnAfterLostConnectionsDrainAndRewind) {
