@@ -16,6 +16,7 @@
 #include "api/session_service.h"
 #include "api/site_service.h"
 #include "api/sound_map_service.h"
+#include "api/tuning_service.h"
 #include "api/watch_service.h"
 
 namespace soundmap::api {
@@ -62,6 +63,7 @@ class GrpcServer : public Server {
         sound_map_(parts.sites, parts.store),
         maps_(parts.sites, parts.operations),
         operations_(parts.operations),
+        tuning_(parts.sites, parts.operations),
         watches_(parts.sites, parts.executor, parts.server_id) {}
 
   absl::Status Listen(const std::string& address, const TlsFiles& tls) {
@@ -81,7 +83,7 @@ class GrpcServer : public Server {
     builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
     for (grpc::Service* service :
          std::initializer_list<grpc::Service*>{&sites_, &sessions_, &ingest_, &robots_, &sound_map_,
-                                               &maps_, &operations_, &watches_}) {
+                                               &maps_, &operations_, &tuning_, &watches_}) {
       builder.RegisterService(service);
     }
     server_ = builder.BuildAndStart();
@@ -111,6 +113,7 @@ class GrpcServer : public Server {
   SoundMapService sound_map_;
   MapService maps_;
   OperationService operations_;
+  TuningService tuning_;
   WatchService watches_;
   std::unique_ptr<grpc::Server> server_;
   std::string address_;
