@@ -30,6 +30,7 @@ void AddWatchCommand(CLI::App& app, CommandLine& line);
 void AddRobotCommands(CLI::App& app, CommandLine& line);
 void AddOperationCommands(CLI::App& app, CommandLine& line);
 void AddEvaluateCommand(CLI::App& app, CommandLine& line);
+void AddTuneCommand(CLI::App& app, CommandLine& line);
 
 // A subcommand that takes the global options too. `action(client)` -> absl::Status runs when it is
 // named.

@@ -117,47 +117,119 @@ Eigen::Isometry3d TrueRelation(const Relation& relation) {
          Eigen::AngleAxisd(relation.roll_rad, Eigen::Vector3d::UnitX());
 }
 
+// What each reported source of some probability belongs to.
+struct Assignment {
+  struct Match {
+    std::size_t reported = 0;
+    double distance_m = 0.0;
+  };
+  std::vector<std::vector<Match>> of_truth;  // nearest first
+  std::vector<std::size_t> unmatched;        // of the reported ones
+};
+
+Assignment Assign(const std::vector<SoundSource>& reported, const std::vector<TrueSource>& truth,
+                  double min_probability) {
+  Assignment assignment;
+  assignment.of_truth.resize(truth.size());
+  for (std::size_t r = 0; r < reported.size(); ++r) {
+    if (!(reported[r].probability >= min_probability)) continue;
+    Assignment::Match match{r, std::numeric_limits<double>::infinity()};
+    std::size_t nearest = 0;
+    for (std::size_t t = 0; t < truth.size(); ++t) {
+      const double distance_m = Distance(reported[r].position_in_map_m, truth[t].position_in_map_m);
+      if (distance_m < match.distance_m) {
+        match.distance_m = distance_m;
+        nearest = t;
+      }
+    }
+    if (match.distance_m <= kMaxDistanceM) {
+      assignment.of_truth[nearest].push_back(match);
+    } else {
+      assignment.unmatched.push_back(r);
+    }
+  }
+  for (std::vector<Assignment::Match>& matches : assignment.of_truth) {
+    std::stable_sort(matches.begin(), matches.end(),
+                     [](const auto& a, const auto& b) { return a.distance_m < b.distance_m; });
+  }
+  return assignment;
+}
+
+bool IsInView(const std::vector<bool>& in_view, std::size_t truth) {
+  return in_view.empty() || in_view[truth];
+}
+
 }  // namespace
 
 SourceScore ScoreSources(const std::vector<SoundSource>& reported,
                          const std::vector<TrueSource>& truth, const std::vector<bool>& in_view) {
-  const auto is_in_view = [&in_view](std::size_t i) { return in_view.empty() || in_view[i]; };
+  const Assignment assigned = Assign(reported, truth, kMinProbability);
   SourceScore score;
-  std::vector<std::vector<double>> distances_m(truth.size());
-  for (const SoundSource& source : reported) {
-    if (!(source.probability >= kMinProbability)) continue;
-    double nearest_m = std::numeric_limits<double>::infinity();
-    std::size_t nearest = 0;
-    for (std::size_t i = 0; i < truth.size(); ++i) {
-      const double distance_m = Distance(source.position_in_map_m, truth[i].position_in_map_m);
-      if (distance_m < nearest_m) {
-        nearest_m = distance_m;
-        nearest = i;
-      }
-    }
-    if (nearest_m <= kMaxDistanceM) {
-      distances_m[nearest].push_back(nearest_m);
-    } else {
-      ++score.false_count;
-    }
-  }
+  score.false_count = static_cast<int>(assigned.unmatched.size());
   std::vector<double> errors_m;
   for (std::size_t i = 0; i < truth.size(); ++i) {
-    if (!is_in_view(i)) {
+    if (!IsInView(in_view, i)) {
       ++score.out_of_view;
       continue;
     }
     ++score.true_count;
-    if (distances_m[i].empty()) continue;
+    const std::vector<Assignment::Match>& matches = assigned.of_truth[i];
+    if (matches.empty()) continue;
     ++score.detected;
-    score.double_count += static_cast<int>(distances_m[i].size()) - 1;
-    errors_m.push_back(*std::min_element(distances_m[i].begin(), distances_m[i].end()));
+    score.double_count += static_cast<int>(matches.size()) - 1;
+    errors_m.push_back(matches.front().distance_m);
   }
   if (!errors_m.empty()) {
     score.error_mean_m = Mean(errors_m);
     score.error_std_m = PopulationDeviation(errors_m);
   }
   return score;
+}
+
+std::vector<Candidate> JudgeCandidates(const std::vector<SoundSource>& reported,
+                                       const std::vector<TrueSource>& truth,
+                                       const std::vector<bool>& in_view) {
+  const Assignment assigned = Assign(reported, truth, kCandidateProbability);
+  std::vector<Candidate> candidates;
+  for (const std::size_t i : assigned.unmatched) candidates.push_back({reported[i].probability});
+  for (std::size_t t = 0; t < truth.size(); ++t) {
+    if (!IsInView(in_view, t)) continue;
+    const std::vector<Assignment::Match>& matches = assigned.of_truth[t];
+    for (const Assignment::Match& match : matches) {
+      candidates.push_back({reported[match.reported].probability, &match == &matches.front()});
+    }
+  }
+  return candidates;
+}
+
+Calibration Calibrate(std::vector<Candidate> candidates) {
+  constexpr std::size_t kBins = 10;
+  Calibration calibration;
+  calibration.candidates = static_cast<int>(candidates.size());
+  if (candidates.empty()) return calibration;
+  std::stable_sort(
+      candidates.begin(), candidates.end(),
+      [](const Candidate& a, const Candidate& b) { return a.probability < b.probability; });
+  double error = 0.0;
+  double brier = 0.0;
+  for (std::size_t bin = 0; bin < kBins; ++bin) {
+    const std::size_t begin = bin * candidates.size() / kBins;
+    const std::size_t end = (bin + 1) * candidates.size() / kBins;
+    if (begin == end) continue;
+    const auto count = static_cast<double>(end - begin);
+    Calibration::Bin& mean = calibration.bins.emplace_back();
+    mean.count = static_cast<int>(end - begin);
+    for (std::size_t i = begin; i < end; ++i) {
+      const double is_source = candidates[i].is_source ? 1.0 : 0.0;
+      mean.mean_probability += candidates[i].probability / count;
+      mean.share_of_sources += is_source / count;
+      brier += std::pow(candidates[i].probability - is_source, 2);
+    }
+    error += count * std::abs(mean.mean_probability - mean.share_of_sources);
+  }
+  calibration.expected_error = error / static_cast<double>(candidates.size());
+  calibration.brier = brier / static_cast<double>(candidates.size());
+  return calibration;
 }
 
 absl::StatusOr<PoseScore> ScoreAgainstDrive(const std::vector<PoseEstimate>& path,
@@ -232,21 +304,22 @@ std::optional<Session> SessionToEvaluate(const std::vector<Session>& sessions) {
   return *newest;
 }
 
-std::string ToJson(const Evaluation& evaluation) {
-  using nlohmann::ordered_json;
+nlohmann::ordered_json ToJson(const SourceScore& score) {
   const auto number = [](const std::optional<double>& value) {
-    return value ? ordered_json(*value) : ordered_json(nullptr);
+    return value ? nlohmann::ordered_json(*value) : nlohmann::ordered_json(nullptr);
   };
-  ordered_json document = ordered_json::object();
-  if (const auto& sources = evaluation.sources) {
-    document["sources"] = {{"true", sources->true_count},
-                           {"detected", sources->detected},
-                           {"out_of_view", sources->out_of_view},
-                           {"error_mean_m", number(sources->error_mean_m)},
-                           {"error_std_m", number(sources->error_std_m)},
-                           {"false", sources->false_count},
-                           {"double", sources->double_count}};
-  }
+  return {{"true", score.true_count},
+          {"detected", score.detected},
+          {"out_of_view", score.out_of_view},
+          {"error_mean_m", number(score.error_mean_m)},
+          {"error_std_m", number(score.error_std_m)},
+          {"false", score.false_count},
+          {"double", score.double_count}};
+}
+
+std::string ToJson(const Evaluation& evaluation) {
+  nlohmann::ordered_json document = nlohmann::ordered_json::object();
+  if (evaluation.sources) document["sources"] = ToJson(*evaluation.sources);
   if (const auto& pose = evaluation.pose) {
     document["pose"] = {{"error_mean_m", pose->error_mean_m},
                         {"error_p95_m", pose->error_p95_m},

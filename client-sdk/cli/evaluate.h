@@ -1,5 +1,6 @@
 #pragma once
 
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <vector>
@@ -32,6 +33,35 @@ struct SourceScore {
 // `in_view` has an entry for each true source, or is empty: all are.
 SourceScore ScoreSources(const std::vector<SoundSource>& reported,
                          const std::vector<TrueSource>& truth, const std::vector<bool>& in_view);
+
+// A reported source of whatever probability, and whether there is one.
+struct Candidate {
+  double probability = 0.0;
+  bool is_source = false;
+};
+
+// Reported sources of at least this probability, the rule of ScoreSources() applied to all of them:
+// the detection of a true source is one, doubles and false ones are none.
+constexpr double kCandidateProbability = 0.2;
+std::vector<Candidate> JudgeCandidates(const std::vector<SoundSource>& reported,
+                                       const std::vector<TrueSource>& truth,
+                                       const std::vector<bool>& in_view);
+
+// How well probabilities tell shares: the expected calibration error is the mean distance between
+// the mean probability and the share of sources over ten bins of equal count, weighted by their
+// count; the Brier score is the mean of (probability - is_source)^2.
+struct Calibration {
+  struct Bin {
+    double mean_probability = 0.0;
+    double share_of_sources = 0.0;
+    int count = 0;
+  };
+  int candidates = 0;
+  std::vector<Bin> bins;  // by probability
+  std::optional<double> expected_error;
+  std::optional<double> brier;
+};
+Calibration Calibrate(std::vector<Candidate> candidates);
 
 struct PoseScore {
   double error_mean_m = 0.0;
@@ -73,6 +103,8 @@ struct Evaluation {
   std::optional<RelationScore> relations;
 };
 
+// A figure that does not exist is null.
+nlohmann::ordered_json ToJson(const SourceScore& score);
 // One JSON document; a part that was not evaluated is absent, a figure that does not exist is null.
 std::string ToJson(const Evaluation& evaluation);
 

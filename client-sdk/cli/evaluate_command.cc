@@ -51,13 +51,9 @@ absl::StatusOr<Inputs> ReadInputs(const EvaluateArguments& arguments) {
     auto drive = ReadDriveTruth(arguments.drive);
     if (!drive.ok()) return drive.status();
     if (!drive->warning.empty()) std::cerr << "soundmap: " << drive->warning << '\n';
-    if (drive->map_from_base.empty() && (inputs.scene || inputs.poses.empty())) {
+    if (drive->map_from_base.empty() && !inputs.scene && inputs.poses.empty()) {
       return absl::FailedPreconditionError(
           absl::StrCat(arguments.drive, " has no /ground_truth/pose to compare with"));
-    }
-    if (inputs.scene && !drive->array_in_base_m) {
-      return absl::FailedPreconditionError(
-          absl::StrCat(arguments.drive, " does not say in /tf_static where mic_array is mounted"));
     }
     inputs.drive = *std::move(drive);
   }
@@ -65,20 +61,16 @@ absl::StatusOr<Inputs> ReadInputs(const EvaluateArguments& arguments) {
 }
 
 absl::StatusOr<SourceScore> ScoreSite(Client& client, const std::string& site_id,
-                                      const Inputs& inputs) {
+                                      const Inputs& inputs, const std::string& drive_path) {
   const auto reported = client.ListSoundSources({.site = site_id});
   if (!reported.ok()) return reported.status();
   std::vector<bool> in_view;
   if (inputs.drive) {
     const auto site = client.GetSite(site_id);
     if (!site.ok()) return site.status();
-    if (!(site->max_range_m > 0.0)) {
-      return absl::FailedPreconditionError(
-          absl::StrCat("the server does not say the range of the site ", site_id));
-    }
-    const DriveTruth& drive = *inputs.drive;
-    in_view = SourcesInView(*inputs.scene, ArrayPath(drive.map_from_base, *drive.array_in_base_m),
-                            drive.start_ns, site->max_range_m);
+    auto known = SourcesInView(*inputs.scene, *inputs.drive, site->max_range_m, drive_path);
+    if (!known.ok()) return known.status();
+    in_view = *std::move(known);
   }
   return ScoreSources(reported->sources, inputs.scene->sources, in_view);
 }
@@ -134,7 +126,7 @@ absl::Status Evaluate(Client& client, const EvaluateArguments& arguments) {
   if (!inputs.ok()) return inputs.status();
   Evaluation evaluation;
   if (inputs->scene) {
-    const auto score = ScoreSite(client, arguments.site, *inputs);
+    const auto score = ScoreSite(client, arguments.site, *inputs, arguments.drive);
     if (!score.ok()) return score.status();
     evaluation.sources = *score;
   }

@@ -32,6 +32,7 @@ int main(int argc, char** argv) {
   soundmap::cli::AddRobotCommands(app, line);
   soundmap::cli::AddOperationCommands(app, line);
   soundmap::cli::AddEvaluateCommand(app, line);
+  soundmap::cli::AddTuneCommand(app, line);
   app.set_version_flag("--version", SOUNDMAP_VERSION);
   app.require_subcommand(1);
 

@@ -141,4 +141,21 @@ std::vector<bool> SourcesInView(const SceneTruth& scene, const std::vector<Array
   return in_view;
 }
 
+absl::StatusOr<std::vector<bool>> SourcesInView(const SceneTruth& scene, const DriveTruth& drive,
+                                                double max_range_m, const std::string& recording) {
+  if (drive.map_from_base.empty()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(recording, " has no /ground_truth/pose to compare with"));
+  }
+  if (!drive.array_in_base_m) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(recording, " does not say in /tf_static where mic_array is mounted"));
+  }
+  if (!(max_range_m > 0.0)) {
+    return absl::FailedPreconditionError("the server does not say the range of the site");
+  }
+  return SourcesInView(scene, ArrayPath(drive.map_from_base, *drive.array_in_base_m),
+                       drive.start_ns, max_range_m);
+}
+
 }  // namespace soundmap::cli

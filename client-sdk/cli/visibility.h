@@ -1,8 +1,11 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
+#include "absl/status/statusor.h"
+#include "cli/drive_truth.h"
 #include "cli/truth_file.h"
 #include "soundmap/poses.h"
 
@@ -28,5 +31,10 @@ bool IsUnobstructed(const Vector3& array_in_map_m, const Vector3& source_in_map_
 // gap of more than 1 s in it is no time in view.
 std::vector<bool> SourcesInView(const SceneTruth& scene, const std::vector<ArrayPosition>& path,
                                 std::int64_t drive_start_ns, double max_range_m);
+
+// The same of the drive recorded in the file `recording`. FailedPrecondition: it does not say where
+// the array was, or the range is unknown.
+absl::StatusOr<std::vector<bool>> SourcesInView(const SceneTruth& scene, const DriveTruth& drive,
+                                                double max_range_m, const std::string& recording);
 
 }  // namespace soundmap::cli

@@ -118,6 +118,22 @@ absl::StatusOr<Operation> Client::BuildMap(const BuildMapRequest& request,
   return WaitOperation(response->name(), progress);
 }
 
+absl::StatusOr<Operation> Client::TryParameters(const TryParametersRequest& request,
+                                                const ProgressCallback& progress) {
+  v1::TryParametersRequest wire;
+  wire.set_site(internal::SiteName(request.site));
+  for (const std::string& session : request.sessions) {
+    wire.add_sessions(internal::SessionName(request.site, session));
+  }
+  for (const std::string& text : request.parameters_toml) wire.add_parameters_toml(text);
+  wire.set_request_id(RequestId());
+  const auto response =
+      connection_->Call<v1::Operation>(Connection::Repeat::kNever, *connection_->tuning,
+                                       &v1::TuningService::Stub::TryParameters, wire);
+  if (!response.ok()) return response.status();
+  return WaitOperation(response->name(), progress);
+}
+
 absl::StatusOr<SoundSource> Client::GetSoundSource(const std::string& site,
                                                    const std::string& source) {
   v1::GetSoundSourceRequest request;

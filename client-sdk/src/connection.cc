@@ -65,7 +65,8 @@ Client::Connection::Connection(const ClientOptions& options,
       robots(v1::RobotService::NewStub(channel)),
       sessions(v1::SessionService::NewStub(channel)),
       watches(v1::WatchService::NewStub(channel)),
-      operations(v1::OperationService::NewStub(channel)) {}
+      operations(v1::OperationService::NewStub(channel)),
+      tuning(v1::TuningService::NewStub(channel)) {}
 
 void Client::Connection::Prepare(grpc::ClientContext& context,
                                  std::chrono::milliseconds timeout) const {

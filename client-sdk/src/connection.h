@@ -16,6 +16,7 @@
 #include "soundmap/v1/session_service.grpc.pb.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
 #include "soundmap/v1/sound_map_service.grpc.pb.h"
+#include "soundmap/v1/tuning_service.grpc.pb.h"
 #include "soundmap/v1/watch_service.grpc.pb.h"
 #include "status.h"
 
@@ -107,6 +108,7 @@ class Client::Connection {
   const std::unique_ptr<v1::SessionService::Stub> sessions;
   const std::unique_ptr<v1::WatchService::Stub> watches;
   const std::unique_ptr<v1::OperationService::Stub> operations;
+  const std::unique_ptr<v1::TuningService::Stub> tuning;
 
  private:
   static void Sleep(std::chrono::milliseconds time);

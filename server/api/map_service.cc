@@ -26,15 +26,10 @@ grpc::ServerUnaryReactor* MapService::BuildMap(grpc::CallbackServerContext* cont
   const std::string site_name = (*site)->record().site;
   pipeline::MapRequest map_request;
   map_request.extend = request->extend();
-  for (const std::string& session : request->sessions()) {
-    const auto name = ParseSession(session);
-    if (!name.ok()) return finish(name.status());
-    if (name->site != site_name) {
-      return finish(absl::InvalidArgumentError(
-          absl::StrCat("session '", session, "' is not one of site '", site_name, "'")));
-    }
-    map_request.sessions.push_back(name->session);
-  }
+  auto sessions =
+      ParseSessionsOf(site_name, {request->sessions().begin(), request->sessions().end()});
+  if (!sessions.ok()) return finish(sessions.status());
+  map_request.sessions = *std::move(sessions);
   for (const v1::SurveyedPose& proto : request->surveyed_poses()) {
     const auto pose = FromProto(proto.map_from_base());
     if (!pose.ok()) return finish(pose.status());

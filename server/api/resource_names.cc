@@ -58,6 +58,21 @@ absl::StatusOr<SourceName> ParseSoundSource(const std::string& name) {
   return SourceName{(*ids)[0], (*ids)[1]};
 }
 
+absl::StatusOr<std::vector<std::string>> ParseSessionsOf(const std::string& site,
+                                                         const std::vector<std::string>& names) {
+  std::vector<std::string> sessions;
+  for (const std::string& name : names) {
+    auto session = ParseSession(name);
+    if (!session.ok()) return session.status();
+    if (session->site != site) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("session '", name, "' is not one of site '", site, "'"));
+    }
+    sessions.push_back(std::move(session->session));
+  }
+  return sessions;
+}
+
 std::string SiteResource(const std::string& site) { return absl::StrCat("sites/", site); }
 std::string RobotResource(const std::string& robot) { return absl::StrCat("robots/", robot); }
 std::string OperationResource(const std::string& id) { return absl::StrCat("operations/", id); }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 
@@ -24,6 +25,10 @@ absl::StatusOr<SessionName> ParseSession(
     const std::string& name);  // "sites/{site}/sessions/{session}"
 absl::StatusOr<SourceName> ParseSoundSource(
     const std::string& name);  // "sites/{site}/soundSources/{source}"
+
+// The {session} of each; all must be of the site.
+absl::StatusOr<std::vector<std::string>> ParseSessionsOf(const std::string& site,
+                                                         const std::vector<std::string>& names);
 
 std::string SiteResource(const std::string& site);
 std::string RobotResource(const std::string& robot);

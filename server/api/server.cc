@@ -14,6 +14,7 @@
 #include "api/session_service.h"
 #include "api/site_service.h"
 #include "api/sound_map_service.h"
+#include "api/tuning_service.h"
 #include "api/watch_service.h"
 
 namespace soundmap::api {
@@ -34,6 +35,7 @@ class GrpcServer : public Server {
         sound_map_(parts.sites, parts.access, parts.store),
         maps_(parts.sites, parts.access, parts.operations),
         operations_(parts.operations, parts.access),
+        tuning_(parts.sites, parts.access, parts.operations),
         watches_(parts.sites, parts.access, parts.executor, parts.server_id) {}
 
   absl::Status Listen(const std::string& address, const TlsFiles& tls) {
@@ -58,7 +60,7 @@ class GrpcServer : public Server {
     builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_DEFLATE, false);
     for (grpc::Service* service :
          std::initializer_list<grpc::Service*>{&sites_, &sessions_, &ingest_, &robots_, &sound_map_,
-                                               &maps_, &operations_, &watches_}) {
+                                               &maps_, &operations_, &tuning_, &watches_}) {
       builder.RegisterService(service);
     }
     server_ = builder.BuildAndStart();
@@ -88,6 +90,7 @@ class GrpcServer : public Server {
   SoundMapService sound_map_;
   MapService maps_;
   OperationService operations_;
+  TuningService tuning_;
   WatchService watches_;
   std::unique_ptr<grpc::Server> server_;
   std::string address_;

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "mapping/floor_plan_mapper.h"
 #include "mapping/mapper.h"
+#include "pipeline/drive_log.h"
 
 namespace soundmap::pipeline {
 namespace {
@@ -14,7 +15,7 @@ namespace {
 // Of the whole work; the rest is relaxing the scans and casting their rays.
 constexpr double kReadingShare = 0.5;
 
-// Reads frames of mapping drives from their logs.
+// Gives the frames of mapping drives to `take`, with progress over all of them.
 class DriveReader {
  public:
   DriveReader(const std::vector<SessionRecord>& drives, storage::Store* store,
@@ -23,22 +24,11 @@ class DriveReader {
     for (const SessionRecord& drive : drives) frames_ += drive.frame_count;
   }
 
-  // Gives `take` the frames of a drive in their order.
   template <typename Take>
   absl::Status Read(const SessionRecord& drive, const Take& take) {
-    const storage::SessionId id{drive.site, drive.session};
-    const auto log = store_->OpenSession(id);
+    const auto log = DriveLog::Open(drive, store_, decode_);
     if (!log.ok()) return log.status();
-    const absl::Status read = ReadLog(drive, **log, take);
-    store_->CloseSession(id).IgnoreError();  // nothing was appended
-    return read;
-  }
-
- private:
-  template <typename Take>
-  absl::Status ReadLog(const SessionRecord& drive, const storage::SessionLog& log,
-                       const Take& take) {
-    const auto reader = log.Read(0);
+    auto reader = (*log)->Read();
     if (!reader.ok()) return reader.status();
     for (std::int64_t offset = 0; offset < drive.frame_count; ++offset) {
       if (context_.cancelled()) {
@@ -48,19 +38,14 @@ class DriveReader {
         context_.Report(kReadingShare * static_cast<double>(read_) / static_cast<double>(frames_),
                         "registering scans");
       }
-      const auto message = (*reader)->Next();
-      if (!message.ok()) return message.status();
-      if (!message->has_value()) {
-        return absl::DataLossError(
-            absl::StrCat("the log of session '", drive.session, "' ends early"));
-      }
-      const auto frame = decode_(**message, drive.calibration);
+      const auto frame = reader->Next();
       if (!frame.ok()) return frame.status();
       take(*frame);
     }
     return absl::OkStatus();
   }
 
+ private:
   storage::Store* const store_;
   const Session::FrameDecoder& decode_;
   OperationContext& context_;

@@ -7,6 +7,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "building/stored_building.h"
 #include "pipeline/archive.h"
 #include "pipeline/map_drives.h"
@@ -14,6 +15,12 @@
 
 namespace soundmap::pipeline {
 namespace {
+
+constexpr std::size_t kMaxTrials = 1000;
+
+bool IsOlder(const SessionRecord& a, const SessionRecord& b) {
+  return std::tie(a.create_time_ns, a.session) < std::tie(b.create_time_ns, b.session);
+}
 
 std::string BuildingKey(const std::string& site, std::int64_t version) {
   return absl::StrCat(site, "/", absl::StrFormat("%08d", version));
@@ -190,23 +197,30 @@ absl::Status Site::ActivateBuilding(building::Building building,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<SessionRecord>> Site::DrivesToMap(const MapRequest& request) const {
+absl::StatusOr<std::vector<SessionRecord>> Site::NamedDrives(const std::vector<std::string>& names,
+                                                             Purpose purpose) const {
+  const char* const kind = purpose == Purpose::kMapping ? "mapping" : "listening";
   std::vector<SessionRecord> drives;
-  for (const std::string& name : request.sessions) {
+  for (const std::string& name : names) {
     auto session = GetSession(name);
     if (!session.ok()) return session.status();
     drives.push_back((*session)->record());
-    if (drives.back().purpose != Purpose::kMapping) {
+    if (drives.back().purpose != purpose) {
       return absl::FailedPreconditionError(
-          absl::StrCat("session '", name, "' is not a mapping drive"));
+          absl::StrCat("session '", name, "' is not a ", kind, " drive"));
     }
     if (!drives.back().complete) {
       return absl::FailedPreconditionError(
-          absl::StrCat("the mapping drive '", name, "' has not arrived in full"));
+          absl::StrCat("the ", kind, " drive '", name, "' has not arrived in full"));
     }
   }
-  if (!drives.empty()) return drives;
+  return drives;
+}
 
+absl::StatusOr<std::vector<SessionRecord>> Site::DrivesToMap(const MapRequest& request) const {
+  if (!request.sessions.empty()) return NamedDrives(request.sessions, Purpose::kMapping);
+
+  std::vector<SessionRecord> drives;
   const std::vector<std::string> mapped = record().building_sessions;
   int incomplete = 0;
   for (const std::shared_ptr<Session>& session : Sessions()) {
@@ -227,9 +241,7 @@ absl::StatusOr<std::vector<SessionRecord>> Site::DrivesToMap(const MapRequest& r
         request.extend ? "mapping drive that is not in its map yet" : "mapping drive",
         incomplete > 0 ? " and has arrived in full" : "; replay one with --purpose mapping"));
   }
-  std::sort(drives.begin(), drives.end(), [](const SessionRecord& a, const SessionRecord& b) {
-    return std::tie(a.create_time_ns, a.session) < std::tie(b.create_time_ns, b.session);
-  });
+  std::sort(drives.begin(), drives.end(), IsOlder);
   if (!request.surveyed_poses.empty()) drives.erase(drives.begin(), std::prev(drives.end()));
   return drives;
 }
@@ -254,6 +266,71 @@ absl::StatusOr<std::string> Site::BuildMap(const MapRequest& request, OperationC
   const absl::Status activated = ActivateBuilding(std::move(map->building), std::move(sessions));
   if (!activated.ok()) return activated;
   return map->report_json;
+}
+
+absl::StatusOr<std::vector<TrialDrive>> Site::DrivesToTry(const TrialRequest& request) const {
+  auto records = NamedDrives(request.sessions, Purpose::kListening);
+  if (!records.ok()) return records.status();
+  if (request.sessions.empty()) {
+    for (const std::shared_ptr<Session>& session : Sessions()) {
+      SessionRecord drive = session->record();
+      if (drive.purpose == Purpose::kListening && drive.complete) {
+        records->push_back(std::move(drive));
+      }
+    }
+    std::sort(records->begin(), records->end(), IsOlder);
+  }
+  if (records->empty()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("site '", record().site, "' has no listening drive that has arrived in full"));
+  }
+  std::map<std::int64_t, std::shared_ptr<const building::Building>> buildings;
+  std::vector<TrialDrive> drives;
+  for (SessionRecord& drive : *records) {
+    std::shared_ptr<const building::Building>& building = buildings[drive.building_version];
+    if (!building) {
+      auto loaded = LoadBuilding(drive.building_version);
+      if (!loaded.ok()) return loaded.status();
+      building = *std::move(loaded);
+    }
+    drives.push_back({std::move(drive), building});
+  }
+  return drives;
+}
+
+absl::StatusOr<std::string> Site::TryParameters(const TrialRequest& request,
+                                                OperationContext& context) {
+  if (request.parameters_toml.empty() || request.parameters_toml.size() > kMaxTrials) {
+    return absl::InvalidArgumentError(absl::StrCat("a trial needs 1 to ", kMaxTrials,
+                                                   " sets of parameters, not ",
+                                                   request.parameters_toml.size()));
+  }
+  std::vector<Profile> profiles;
+  for (const std::string& text : request.parameters_toml) {
+    auto profile = ProfileFromToml(text);
+    if (!profile.ok()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "set ", profiles.size(), " of parameters: ", std::string(profile.status().message())));
+    }
+    profiles.push_back(*std::move(profile));
+  }
+  const auto drives = DrivesToTry(request);
+  if (!drives.ok()) return drives.status();
+  std::vector<std::string> trials;
+  for (const Profile& profile : profiles) {
+    const std::string text =
+        absl::StrCat("trying set ", trials.size() + 1, " of ", profiles.size());
+    const auto trial =
+        pipeline::TryParameters(*drives, profile, store_, decode_, [&](double share) {
+          context.Report(
+              (static_cast<double>(trials.size()) + share) / static_cast<double>(profiles.size()),
+              text);
+          return !context.cancelled();
+        });
+    if (!trial.ok()) return trial.status();
+    trials.push_back(ToJson(*trial));
+  }
+  return absl::StrCat("{\"trials\":[", absl::StrJoin(trials, ","), "]}");
 }
 
 std::vector<RobotInfo> Site::Robots() const {

@@ -15,6 +15,7 @@
 #include "pipeline/records.h"
 #include "pipeline/region.h"
 #include "pipeline/session.h"
+#include "pipeline/trial.h"
 #include "storage/store.h"
 
 namespace soundmap::pipeline {
@@ -36,6 +37,12 @@ struct MapRequest {
   std::vector<std::string> sessions;
   std::vector<mapping::StampedPose> surveyed_poses;  // instead of registration
   bool extend = false;                               // the map, its frame and surfaces stay
+};
+
+// Which listening drives to run again, and with what.
+struct TrialRequest {
+  std::vector<std::string> sessions;         // empty: all that are complete
+  std::vector<std::string> parameters_toml;  // one trial each, as ProfileFromToml() reads them
 };
 
 // One building with its shared map, and the drives through it. Thread safe.
@@ -71,6 +78,12 @@ class Site : public std::enable_shared_from_this<Site> {
   // FailedPrecondition: a drive has not arrived in full or does not overlap the others.
   absl::StatusOr<std::string> BuildMap(const MapRequest& request, OperationContext& context);
 
+  // Runs listening drives again with other parameters; nothing that is stored changes. The report
+  // is JSON, {"trials": [...]}, with an entry as trial.h says for each set of parameters.
+  // InvalidArgument: parameters that are none, more than 1000 sets. FailedPrecondition: a drive has
+  // not arrived in full.
+  absl::StatusOr<std::string> TryParameters(const TrialRequest& request, OperationContext& context);
+
   // The newest known state of every robot that has had a session here, by name.
   std::vector<RobotInfo> Robots() const;
 
@@ -85,7 +98,11 @@ class Site : public std::enable_shared_from_this<Site> {
       std::int64_t version) const;
   // Of a version of the building; that of the present one is made once.
   absl::StatusOr<std::shared_ptr<const localization::PreparedPlan>> PlanOf(std::int64_t version);
+  // FailedPrecondition: one is of another purpose or has not arrived in full.
+  absl::StatusOr<std::vector<SessionRecord>> NamedDrives(const std::vector<std::string>& names,
+                                                         Purpose purpose) const;
   absl::StatusOr<std::vector<SessionRecord>> DrivesToMap(const MapRequest& request) const;
+  absl::StatusOr<std::vector<TrialDrive>> DrivesToTry(const TrialRequest& request) const;
 
   const Profile profile_;
   storage::Store* const store_;

@@ -135,7 +135,8 @@ class IngestServiceTest : public ::testing::Test {
                   },
                   pipeline::ProfileByName, [] { return 1; }})
                  .value();
-    service_ = std::make_unique<IngestService>(sites_.get(), pool_.get_executor());
+    access_ = Access::Create({}, [] { return 1; }).value();
+    service_ = std::make_unique<IngestService>(sites_.get(), access_.get(), pool_.get_executor());
     grpc::ServerBuilder builder;
     int port = 0;
     builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port);
@@ -178,6 +179,7 @@ class IngestServiceTest : public ::testing::Test {
   boost::asio::thread_pool pool_{2};
   std::unique_ptr<storage::Store> store_;
   std::unique_ptr<pipeline::Sites> sites_;
+  std::unique_ptr<Access> access_;
   std::unique_ptr<IngestService> service_;
   std::unique_ptr<grpc::Server> server_;
   std::unique_ptr<v1::IngestService::Stub> stub_;

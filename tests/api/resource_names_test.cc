@@ -25,5 +25,13 @@ TEST(ResourceNames, OtherFormsAreRefused) {
   EXPECT_FALSE(ParseSession("sites/a/soundSources/b").ok());
 }
 
+TEST(ResourceNames, SessionsAreOfOneSite) {
+  EXPECT_EQ(ParseSessionsOf("hall", {"sites/hall/sessions/b", "sites/hall/sessions/a"}).value(),
+            (std::vector<std::string>{"b", "a"}));
+  EXPECT_EQ(ParseSessionsOf("hall", {}).value(), std::vector<std::string>());
+  EXPECT_FALSE(ParseSessionsOf("hall", {"sites/hall/sessions/b", "sites/yard/sessions/a"}).ok());
+  EXPECT_FALSE(ParseSessionsOf("hall", {"b"}).ok());
+}
+
 }  // namespace
 }  // namespace soundmap::api

@@ -498,6 +498,44 @@ TEST_F(CliTest, EvaluatesADrive) {
   EXPECT_EQ(refused.err, "soundmap: " + blind + " has no /ground_truth/pose to compare with\n");
 }
 
+TEST_F(CliTest, TunesOnDrivesWithTruth) {
+  v1::Site site;
+  site.set_name("sites/hall");
+  site.set_max_range_m(4.0);
+  state().sites["sites/hall"] = site;
+  state().trials_json = R"({"trials": [
+    {"audio_scans": 9, "sources": [{"position_m": [5, 3.1, 1], "probability": 0.9}]},
+    {"audio_scans": 9, "sources": [{"position_m": [0, 0, 1], "probability": 0.7}]}]})";
+  const std::string truth = Write("t.truth.json", R"({"sources": [{"position": [5, 3, 1.0]}]})");
+  const std::string drive = WriteDrive(directory_ / "d.mcap", true);
+  const std::vector<std::string> command{"tune",     "--case", "hall",
+                                         truth,      drive,    "--profiles",
+                                         "paper",    "--vary", "paper.acoustics.t1=8,9",
+                                         "--format", "json"};
+  const Result result = Run(command);
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  EXPECT_EQ(state().last_try_request.site(), "sites/hall");
+  ASSERT_EQ(state().last_try_request.parameters_toml_size(), 2);
+  EXPECT_EQ(state().last_try_request.parameters_toml(1), "profile = 'paper'\nacoustics.t1 = 9\n");
+  const auto sets = nlohmann::json::parse(result.out)["sets"];
+  ASSERT_EQ(sets.size(), 2u);
+  EXPECT_EQ(sets[0]["sources"]["detected"], 1);
+  EXPECT_NEAR(sets[0]["sources"]["error_mean_m"], 0.1, 1e-9);
+  EXPECT_EQ(sets[1]["sources"]["detected"], 0);
+  EXPECT_EQ(sets[1]["sources"]["false"], 1);
+  EXPECT_EQ(sets[1]["parameters"]["acoustics.t1"], "9");
+  EXPECT_NEAR(sets[1]["calibration"]["brier"], 0.49, 1e-9);
+
+  // A report that does not fit, of whatever kind, is said to be one.
+  for (const char* report : {"", "{}", "7", R"({"trials": [{"sources": []}]})",
+                             R"({"trials": [{"sources": [{"position_m": [1]}]}, {}]})"}) {
+    state().trials_json = report;
+    const Result refused = Run(command);
+    EXPECT_EQ(refused.exit_status, 1) << report;
+    EXPECT_THAT(refused.err, HasSubstr("the server")) << report;
+  }
+}
+
 TEST_F(CliTest, SaysThatOutputCannotBeWritten) {
   const std::string command = std::string(SOUNDMAP_BIN_DIR "/soundmap site list --server ") +
                               server_.address() + " >/dev/full 2>" + (directory_ / "err").string();

@@ -197,6 +197,26 @@ class Operations : public v1::OperationService::Service {
   FakeState& state_;
 };
 
+class Tuning : public v1::TuningService::Service {
+ public:
+  explicit Tuning(FakeState& state) : state_(state) {}
+
+  Status TryParameters(ServerContext* context, const v1::TryParametersRequest* request,
+                       v1::Operation* response) override {
+    Call call(state_, context, "TryParameters");
+    if (call.fails()) return call.status();
+    state_.last_try_request = *request;
+    state_.operation.set_name("operations/7");
+    state_.operation.set_kind("try_parameters");
+    state_.operation.set_report_json(state_.trials_json);
+    *response = state_.operation;
+    return Status::OK;
+  }
+
+ private:
+  FakeState& state_;
+};
+
 class Sessions : public v1::SessionService::Service {
  public:
   explicit Sessions(FakeState& state) : state_(state) {}
@@ -332,6 +352,7 @@ FakeServer::FakeServer() {
   services_.push_back(std::make_unique<Robots>(state_));
   services_.push_back(std::make_unique<SoundMaps>(state_));
   services_.push_back(std::make_unique<Watches>(state_));
+  services_.push_back(std::make_unique<Tuning>(state_));
   grpc::ServerBuilder builder;
   int port = 0;
   builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port);

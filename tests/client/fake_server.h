@@ -16,6 +16,7 @@
 #include "soundmap/v1/session_service.grpc.pb.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
 #include "soundmap/v1/sound_map_service.grpc.pb.h"
+#include "soundmap/v1/tuning_service.grpc.pb.h"
 #include "soundmap/v1/watch_service.grpc.pb.h"
 
 namespace soundmap::testing {
@@ -58,6 +59,8 @@ struct FakeState {
   v1::ExportMapRequest last_export_request;
   v1::BuildMapRequest last_build_request;
   v1::ImportMapHeader last_import_header;
+  v1::TryParametersRequest last_try_request;
+  std::string trials_json;  // report of a trial
   std::string imported_data;
   std::vector<v1::WatchRequest> watch_requests;
   int cancelled_watches = 0;

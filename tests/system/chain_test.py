@@ -38,6 +38,24 @@ class ChainTest(ProgramTest):
         session = self.session_list(server)[0]
         self.assertEqual(session["received"], session["processed"])
 
+    def test_a_trial_of_the_same_parameters_finds_the_same(self):
+        server = self.server()
+        self.make_site(server)
+        self.replay(server, DRIVES / "short.mcap")
+        truth = [DRIVES / "short.truth.json", DRIVES / "short.mcap"]
+        before = self.full_map(server)
+        tuned = json.loads(self.ok(server, "soundmap", "tune", "--case", "site", *truth, "--vary",
+                                   "default.acoustics.threshold_spreads=6.5,40", "--profiles", "default", "--format", "json"))
+        same, deaf = tuned["sets"]
+        evaluated = json.loads(self.ok(server, "soundmap", "evaluate", "site", "--truth", truth[0], "--drive", truth[1]))
+        self.assertEqual(same["sources"], evaluated["sources"])
+        self.assertGreater(same["sources"]["detected"], 0)
+        self.assertEqual(deaf["sources"]["detected"], 0)
+        self.assertEqual(self.full_map(server), before)
+        self.refused(server, "soundmap", "tune", "--case", "site", *truth, "--vary", "default.acoustics.no_such=1",
+                     says="the parameter acoustics.no_such is not known")
+        self.refused(server, "soundmap", "tune", "--case", "nowhere", *truth, says="nowhere")
+
     def test_metrics_say_what_the_work_was(self):
         server = self.server()
         self.make_site(server)

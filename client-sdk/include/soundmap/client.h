@@ -48,6 +48,12 @@ class Client {
   absl::StatusOr<ExportedMap> ExportMap(const ExportMapRequest& request, const std::string& path,
                                         const BytesCallback& progress = {});
 
+  // Runs listening drives again with other parameters; the site's map stays as it is. The
+  // operation's report is {"trials": [{"audio_scans", "sources": [{"position_m", "extent_m",
+  // "probability", "evidence_count"}]}]}. Cancelled when `progress` said so.
+  absl::StatusOr<Operation> TryParameters(const TryParametersRequest& request,
+                                          const ProgressCallback& progress = {});
+
   absl::StatusOr<SoundSource> GetSoundSource(const std::string& site, const std::string& source);
   absl::StatusOr<SoundSourceList> ListSoundSources(const SoundSourceQuery& query);
   // Calls `chunk` with one or more pieces (one without voxels, if there are none) of one revision

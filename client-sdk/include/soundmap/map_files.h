@@ -20,6 +20,13 @@ struct BuildMapRequest {
   bool extend = false;  // the present map, its frame and surfaces stay; the sessions are added
 };
 
+struct TryParametersRequest {
+  std::string site;
+  std::vector<std::string> sessions;  // empty: all listening sessions that are complete
+  // A trial each: `profile = "default"` or "paper", then the parameters that differ.
+  std::vector<std::string> parameters_toml;
+};
+
 enum class ExportWhat { kSound, kGeometry, kFloorPlan };
 
 struct ExportMapRequest {

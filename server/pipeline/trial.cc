@@ -1,0 +1,121 @@
+#include "pipeline/trial.h"
+
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "pipeline/drive_log.h"
+#include "pipeline/listening.h"
+#include "sound_map/sound_map.h"
+#include "storage/crc32c.h"
+
+namespace soundmap::pipeline {
+namespace {
+
+// One drive through the pipeline. What a lost robot heard waits in the log until it knows where it
+// was, and enters the map before it drives on, as in a session.
+class Drive {
+ public:
+  Drive(const DriveLog& log, Listening* listening, sound_map::SoundMap* map)
+      : log_(log), listening_(listening), map_(map) {}
+
+  // `frame_done(offset)` says whether to go on.
+  absl::Status Run(absl::FunctionRef<bool(std::int64_t offset)> frame_done) {
+    auto reader = log_.Read();
+    if (!reader.ok()) return reader.status();
+    for (std::int64_t offset = 0; offset < log_.frame_count(); ++offset) {
+      const absl::Status caught_up = CatchUp(offset);
+      if (!caught_up.ok()) return caught_up;
+      auto frame = reader->Next();
+      if (!frame.ok()) return frame.status();
+      Listening::Output output;
+      listening_->Localize(*frame, output);
+      if (listening_->heard() == offset && !listening_->waits()) {
+        listening_->Hear(*std::move(frame), output);
+      }
+      const absl::Status taken = Take(output);
+      if (!taken.ok()) return taken;
+      if (!frame_done(offset)) return absl::CancelledError("the trial was cancelled");
+    }
+    const absl::Status caught_up = CatchUp(log_.frame_count());
+    if (!caught_up.ok()) return caught_up;
+    Listening::Output output;
+    listening_->Finish(output);
+    return Take(output);
+  }
+
+ private:
+  absl::Status CatchUp(std::int64_t localized) {
+    if (listening_->heard() == localized || listening_->waits()) return absl::OkStatus();
+    auto unheard = log_.Read(listening_->heard());
+    if (!unheard.ok()) return unheard.status();
+    while (listening_->heard() < localized && !listening_->waits()) {
+      auto frame = unheard->Next();
+      if (!frame.ok()) return frame.status();
+      Listening::Output output;
+      listening_->Hear(*std::move(frame), output);
+      const absl::Status taken = Take(output);
+      if (!taken.ok()) return taken;
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status Take(const Listening::Output& output) {
+    for (const Listening::Scan& scan : output.scans) {
+      const absl::Status applied = map_->Apply(scan.evidence);
+      if (!applied.ok()) return applied;
+    }
+    return absl::OkStatus();
+  }
+
+  const DriveLog& log_;
+  Listening* const listening_;
+  sound_map::SoundMap* const map_;
+};
+
+}  // namespace
+
+absl::StatusOr<Trial> TryParameters(const std::vector<TrialDrive>& drives, const Profile& profile,
+                                    storage::Store* store, const Session::FrameDecoder& decode,
+                                    absl::FunctionRef<bool(double share)> report) {
+  const auto map = sound_map::SoundMap::Create(profile.sound_map);
+  if (!map.ok()) return map.status();
+  std::int64_t frames = 0;
+  for (const TrialDrive& drive : drives) frames += drive.record.frame_count;
+  std::int64_t frames_before = 0;
+  Trial trial;
+  for (const TrialDrive& drive : drives) {
+    const auto plan =
+        localization::PreparedPlan::Create(profile.localization, drive.building->floor_plan);
+    if (!plan.ok()) return plan.status();
+    auto listening =
+        Listening::Create(profile, drive.record.calibration, *plan, drive.record.initial_pose,
+                          storage::Crc32c(drive.record.session));
+    if (!listening.ok()) return listening.status();
+    const auto log = DriveLog::Open(drive.record, store, decode);
+    if (!log.ok()) return log.status();
+    const absl::Status run =
+        Drive(**log, listening->get(), map->get()).Run([&](std::int64_t offset) {
+          return offset % 64 != 0 ||
+                 report(static_cast<double>(frames_before + offset) / static_cast<double>(frames));
+        });
+    if (!run.ok()) return run;
+    frames_before += drive.record.frame_count;
+    trial.audio_scans += (*listening)->counters().audio_scans;
+  }
+  trial.sources = sound_map::FindSoundSources(*(*map)->TakeSnapshot(), profile.sound_map.sources);
+  return trial;
+}
+
+std::string ToJson(const Trial& trial) {
+  nlohmann::json sources = nlohmann::json::array();
+  for (const sound_map::SoundSource& source : trial.sources) {
+    const Eigen::Vector3d& position = source.position_in_map_m;
+    sources.push_back({{"position_m", {position.x(), position.y(), position.z()}},
+                       {"extent_m", source.extent_m},
+                       {"probability", source.probability},
+                       {"evidence_count", source.evidence_count}});
+  }
+  return nlohmann::json{{"audio_scans", trial.audio_scans}, {"sources", std::move(sources)}}.dump();
+}
+
+}  // namespace soundmap::pipeline
