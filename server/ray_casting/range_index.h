@@ -1,15 +1,46 @@
 #pragma once
 
-#include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <cstdint>
-#include <memory>
-#include <optional>
 #include <span>
 #include <vector>
 
+#include "geometry/directions.h"
+#include "ray_casting/kernels.h"
+
 namespace soundmap::ray_casting {
 
-// The points of one LIDAR scan by their direction as seen from one point, section V.
+// Candidate directions, made ready once for look-ups in the points of many LIDAR scans: the cells
+// in which the nearest point of each can lie.
+class LookUpDirections {
+ public:
+  // A direction that is not finite finds nothing. `max_angle_rad` above 0 and below 60 degrees:
+  // epsilon = 1 - cos of it.
+  LookUpDirections(geometry::DirectionGrid directions, double max_angle_rad);
+
+  int size() const { return grid_.size(); }
+  const geometry::DirectionGrid& grid() const { return grid_; }
+
+ private:
+  friend class RangeIndex;
+
+  struct Rows {
+    std::vector<std::int32_t> begin;
+    std::vector<SphereCells::Row> row;
+
+    RowsOfDirections View() const { return {begin.data(), row.data()}; }
+  };
+
+  geometry::DirectionGrid grid_;
+  double epsilon_;
+  float max_chord_;
+  float near_chord_;
+  std::vector<float> axis_[3];
+  Rows near_;
+  Rows far_;
+};
+
+// The points of one LIDAR scan by their direction as seen from the array, section V.
 // The paper writes v_L(j) = M_j O_a / |M_j O_a|, an arrow from the point to the array, whose
 // product with the direction v_a towards the source would be largest on the wrong side; here v_L(j)
 // points from the array origin O_a to M_j.
@@ -18,50 +49,35 @@ namespace soundmap::ray_casting {
 // precision, so that the answer is that of brute force in double precision.
 class RangeIndex {
  public:
-  // Points that are not finite, or lie at the origin, are never found. They must outlive the index.
-  // `max_angle_rad` above 0 and below 60 degrees; epsilon = 1 - cos of it.
-  RangeIndex(std::span<const Eigen::Vector3f> points, const Eigen::Vector3d& origin,
-             double max_angle_rad);
+  explicit RangeIndex(const Kernels& kernels = BestKernels()) : kernels_(kernels) {}
 
-  struct Hit {
-    int point = 0;         // j_i, index into the points given
-    double range_m = 0.0;  // rho_i, from the origin
-  };
+  // Points that are not finite, or lie at the array, are never found. They must stay until the
+  // index is made of others, which takes the memory that it has.
+  // `base_from_array`: from the frame of the directions to that of the points.
+  void Make(std::span<const Eigen::Vector3f> points, const Eigen::Isometry3d& base_from_array);
 
-  // The point with the least 1 - v_L . v_a, of several the lowest index; none when that is not
-  // below epsilon. `direction` is a unit vector on the axes of the points.
-  std::optional<Hit> Nearest(const Eigen::Vector3d& direction) const;
+  // j_i of each direction: the point with the least 1 - v_L . v_a, of several the lowest index;
+  // kNoPoint when that is not below epsilon.
+  std::vector<std::int32_t> Nearest(const LookUpDirections& directions) const;
+
+  // rho_i: of a point, from the array.
+  double Range_m(std::int32_t point) const {
+    return (points_[point].cast<double>() - base_from_array_.translation()).norm();
+  }
 
  private:
-  struct Query;
-  struct Range {
-    std::int32_t begin;
-    std::int32_t end;
-  };
-
-  // The least chord to `query` in the ranges, whose point it is (in the order of the cells), and
-  // the least chord of the others; squared.
-  struct Least {
-    float chord2;
-    std::int32_t at;
-    float next_chord2;
-  };
-
   void SortIntoCells();
-  int RangesWithin(const Query& query, float angle_rad, Range* ranges) const;
-  Least FindLeast(const Query& query, const Range* ranges, int count) const;
-  int DecideInDouble(const Query& query, const Range* ranges, int count, float limit_chord2) const;
-  double ExactDot(int point, const Eigen::Vector3d& direction) const;
+  std::int32_t DecideInDouble(const LookUpDirections& directions, int i) const;
 
+  const Kernels& kernels_;
   std::span<const Eigen::Vector3f> points_;
-  Eigen::Vector3d origin_;
-  double epsilon_;
-  float max_chord_;  // between two unit vectors max_angle_rad apart
-  float near_;       // a chord that most directions find a point within
-  std::unique_ptr<float[]> storage_;
-  const float* unit_[3];                   // v_L, by cell
-  std::unique_ptr<std::int32_t[]> point_;  // index of each
-  std::vector<std::int32_t> begin_;        // of each cell in them, and the end
+  Eigen::Isometry3d base_from_array_ = Eigen::Isometry3d::Identity();
+  std::vector<float> unsorted_[3];   // v_L
+  std::vector<std::uint16_t> cell_;  // of each
+  // By cell, and padded.
+  std::vector<float> unit_[3];
+  std::vector<std::int32_t> point_;
+  std::vector<std::int32_t> begin_;  // of each cell in them, and the end
 };
 
 }  // namespace soundmap::ray_casting

@@ -7,7 +7,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "geometry/angles.h"
-#include "ray_casting/range_index.h"
 
 namespace soundmap::ray_casting {
 namespace {
@@ -98,20 +97,20 @@ absl::StatusOr<sound_map::EvidenceScan> RayCaster::Cast(
                                                       config_.max_lidar_age_s, " s are allowed"));
   }
 
-  const Eigen::Isometry3d reference_from_array =
-      lidar.reference_base_from_audio_base * base_from_array_;
-  const RangeIndex index(lidar.point_in_base, reference_from_array.translation(),
-                         geometry::RadFromDeg(config_.max_angle_deg));
+  thread_local RangeIndex index;  // keeps its memory
+  index.Make(lidar.point_in_base, lidar.reference_base_from_audio_base * base_from_array_);
+  const std::vector<std::int32_t> nearest = index.Nearest(directions_);
   const Eigen::Isometry3d map_from_array = map_from_base.ToIsometry() * base_from_array_;
 
   sound_map::EvidenceScan evidence;
   evidence.stamp_ns = likelihood.mid_ns();
   evidence.end_points.reserve(directions_.size());
   for (int i = 0; i < directions_.size(); ++i) {
-    const auto hit = index.Nearest(reference_from_array.linear() * directions_[i]);
-    if (!hit || hit->range_m > config_.max_range_m) continue;
+    if (nearest[i] == kNoPoint) continue;
+    const double range_m = index.Range_m(nearest[i]);
+    if (range_m > config_.max_range_m) continue;
     // The ray has the length rho_i and keeps the candidate direction, not the LIDAR point's.
-    const auto key = geometry::KeyFromPoint(map_from_array * (hit->range_m * directions_[i]),
+    const auto key = geometry::KeyFromPoint(map_from_array * (range_m * directions_.grid()[i]),
                                             config_.voxel_size_m);
     if (key) evidence.end_points.push_back({*key, likelihood.likelihood[i]});
   }

@@ -6,8 +6,10 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "acoustics/likelihood_scan.h"
+#include "geometry/angles.h"
 #include "geometry/directions.h"
 #include "localization/pose_estimate.h"
+#include "ray_casting/range_index.h"
 #include "sound_map/evidence.h"
 
 namespace soundmap::ray_casting {
@@ -67,10 +69,12 @@ class RayCaster {
  private:
   RayCaster(const RayCastingConfig& config, geometry::DirectionGrid directions,
             const Eigen::Isometry3d& base_from_array)
-      : config_(config), directions_(std::move(directions)), base_from_array_(base_from_array) {}
+      : config_(config),
+        directions_(std::move(directions), geometry::RadFromDeg(config.max_angle_deg)),
+        base_from_array_(base_from_array) {}
 
   RayCastingConfig config_;
-  geometry::DirectionGrid directions_;
+  LookUpDirections directions_;
   Eigen::Isometry3d base_from_array_;
 };
 

@@ -1,5 +1,6 @@
 #include "ray_casting/range_index.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -13,6 +14,9 @@ namespace soundmap::ray_casting {
 namespace {
 
 using geometry::RadFromDeg;
+using ::testing::Contains;
+using ::testing::ElementsAre;
+using ::testing::Ne;
 
 Eigen::Vector3d RandomDirection(std::mt19937_64& random) {
   std::normal_distribution<double> normal;
@@ -20,11 +24,10 @@ Eigen::Vector3d RandomDirection(std::mt19937_64& random) {
 }
 
 // Section V as written, but with v_L from O_a to M_j.
-std::optional<RangeIndex::Hit> BruteForce(const std::vector<Eigen::Vector3f>& points,
-                                          const Eigen::Vector3d& origin, double max_angle_rad,
-                                          const Eigen::Vector3d& v_a) {
+std::int32_t BruteForce(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& origin,
+                        double max_angle_rad, const Eigen::Vector3d& v_a) {
   double least = std::numeric_limits<double>::infinity();
-  std::optional<RangeIndex::Hit> best;
+  std::int32_t best = kNoPoint;
   for (std::size_t j = 0; j < points.size(); ++j) {
     const double x = points[j].x() - origin.x();
     const double y = points[j].y() - origin.y();
@@ -35,7 +38,7 @@ std::optional<RangeIndex::Hit> BruteForce(const std::vector<Eigen::Vector3f>& po
         1.0 - (x / range_m * v_a.x() + y / range_m * v_a.y() + z / range_m * v_a.z());
     if (cost < least && cost < 1.0 - std::cos(max_angle_rad)) {
       least = cost;
-      best = {static_cast<int>(j), range_m};
+      best = static_cast<std::int32_t>(j);
     }
   }
   return best;
@@ -44,18 +47,34 @@ std::optional<RangeIndex::Hit> BruteForce(const std::vector<Eigen::Vector3f>& po
 void ExpectAsBruteForce(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector3d& origin,
                         double max_angle_deg, const std::vector<Eigen::Vector3d>& directions) {
   const double max_angle_rad = RadFromDeg(max_angle_deg);
-  const RangeIndex index(points, origin, max_angle_rad);
-  int hits = 0;
-  for (const Eigen::Vector3d& direction : directions) {
-    const auto expected = BruteForce(points, origin, max_angle_rad, direction);
-    const auto found = index.Nearest(direction);
-    ASSERT_EQ(found.has_value(), expected.has_value()) << direction.transpose();
-    if (!found) continue;
-    ++hits;
-    ASSERT_EQ(found->point, expected->point) << direction.transpose();
-    ASSERT_NEAR(found->range_m, expected->range_m, 1e-6 * expected->range_m);
+  const Eigen::AngleAxisd askew(RadFromDeg(70.0), Eigen::Vector3d(0.3, -0.5, 0.8).normalized());
+  for (const Eigen::AngleAxisd& turn : {Eigen::AngleAxisd::Identity(), askew}) {
+    const Eigen::Isometry3d base_from_array = Eigen::Translation3d(origin) * turn;
+    std::vector<Eigen::Vector3d> direction_in_array;
+    std::vector<std::int32_t> expected;
+    for (const Eigen::Vector3d& direction : directions) {
+      direction_in_array.push_back(turn.inverse() * direction);
+      expected.push_back(BruteForce(points, origin, max_angle_rad,
+                                    base_from_array.linear() * direction_in_array.back()));
+    }
+    EXPECT_THAT(expected, Contains(Ne(kNoPoint)));
+    const LookUpDirections look_up(geometry::DirectionGrid(direction_in_array, 0.02),
+                                   max_angle_rad);
+    for (const Kernels& kernels : AllKernels()) {
+      RangeIndex index(kernels);
+      index.Make(points, base_from_array);
+      ASSERT_EQ(index.Nearest(look_up), expected) << kernels.name << ", turned by " << turn.angle();
+    }
   }
-  EXPECT_GT(hits, 0);
+}
+
+// Seen from the origin, within 3 degrees.
+std::vector<std::int32_t> Nearest(const std::vector<Eigen::Vector3f>& points,
+                                  const std::vector<Eigen::Vector3d>& directions) {
+  const LookUpDirections look_up(geometry::DirectionGrid(directions, 0.02), RadFromDeg(3.0));
+  RangeIndex index;
+  index.Make(points, Eigen::Isometry3d::Identity());
+  return index.Nearest(look_up);
 }
 
 std::vector<Eigen::Vector3d> Directions(std::mt19937_64& random, int count) {
@@ -137,35 +156,34 @@ TEST(RangeIndex, OfEqualPointsTheFirstWins) {
   const Eigen::Vector3f point(2.0f, 1.0f, 0.5f);
   std::vector<Eigen::Vector3f> points(50, Eigen::Vector3f(-1.0f, -1.0f, 0.0f));
   for (const int i : {7, 8, 30, 49}) points[i] = point;
-  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
-  const auto hit = index.Nearest(point.cast<double>().normalized());
-  ASSERT_TRUE(hit.has_value());
-  EXPECT_EQ(hit->point, 7);
+  EXPECT_THAT(Nearest(points, {point.cast<double>().normalized()}), ElementsAre(7));
 }
 
 // The differences are lost where a float of 0.01 is.
 TEST(RangeIndex, TellsDirectionsApartThatFloatsCannot) {
   const std::vector<Eigen::Vector3f> points = {{1.0f, 0.0f, -0.01f}, {1.0f, 0.0f, 0.01f}};
-  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
-  EXPECT_EQ(index.Nearest(Eigen::Vector3d(1.0, 0.0, -1e-11))->point, 0);
-  EXPECT_EQ(index.Nearest(Eigen::Vector3d(1.0, 0.0, 1e-11))->point, 1);
-  EXPECT_EQ(index.Nearest(Eigen::Vector3d(1.0, 0.0, 0.0))->point, 0);
+  EXPECT_THAT(Nearest(points, {{1.0, 0.0, -1e-11}, {1.0, 0.0, 1e-11}, {1.0, 0.0, 0.0}}),
+              ElementsAre(0, 1, 0));
 }
 
 // Two points in one direction, one behind the other: only the order counts, not the range.
 TEST(RangeIndex, RangeIsNoReasonToPreferAPoint) {
   const std::vector<Eigen::Vector3f> points = {{8.0f, 0.0f, 0.0f}, {2.0f, 0.0f, 0.0f}};
-  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
-  EXPECT_EQ(index.Nearest(Eigen::Vector3d::UnitX())->point, 0);
-  EXPECT_DOUBLE_EQ(index.Nearest(Eigen::Vector3d::UnitX())->range_m, 8.0);
+  EXPECT_THAT(Nearest(points, {Eigen::Vector3d::UnitX()}), ElementsAre(0));
+}
+
+TEST(RangeIndex, RangeIsFromTheArray) {
+  const std::vector<Eigen::Vector3f> points = {{8.0f, 4.0f, 0.0f}};
+  RangeIndex index;
+  index.Make(points, Eigen::Isometry3d(Eigen::Translation3d(5.0, 0.0, 0.0)));
+  EXPECT_DOUBLE_EQ(index.Range_m(0), 5.0);
 }
 
 TEST(RangeIndex, NothingBeyondTheAngle) {
-  const std::vector<Eigen::Vector3f> points = {{1.0f, 0.0f, 0.0f}};
-  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
-  EXPECT_TRUE(index.Nearest(geometry::DirectionFromAngles(RadFromDeg(2.99), 0.0)).has_value());
-  EXPECT_FALSE(index.Nearest(geometry::DirectionFromAngles(RadFromDeg(3.01), 0.0)).has_value());
-  EXPECT_FALSE(index.Nearest(-Eigen::Vector3d::UnitX()).has_value());
+  EXPECT_THAT(Nearest({{1.0f, 0.0f, 0.0f}}, {geometry::DirectionFromAngles(RadFromDeg(2.99), 0.0),
+                                             geometry::DirectionFromAngles(RadFromDeg(3.01), 0.0),
+                                             -Eigen::Vector3d::UnitX()}),
+              ElementsAre(0, kNoPoint, kNoPoint));
 }
 
 TEST(RangeIndex, HostilePointsAreNeverFound) {
@@ -173,13 +191,10 @@ TEST(RangeIndex, HostilePointsAreNeverFound) {
   constexpr float kInf = std::numeric_limits<float>::infinity();
   const std::vector<Eigen::Vector3f> points = {{kNan, 0, 0}, {kInf, 0, 0},  {0, -kInf, kNan},
                                                {0, 0, 0},    {3e38f, 0, 0}, {1e-30f, 0, 0}};
-  const RangeIndex index(points, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
-  EXPECT_EQ(index.Nearest(Eigen::Vector3d::UnitX())->point, 4);
-  EXPECT_FALSE(index.Nearest(-Eigen::Vector3d::UnitY()).has_value());
-  EXPECT_FALSE(index.Nearest(Eigen::Vector3d(kNan, 0, 0)).has_value());
-
-  const RangeIndex empty({}, Eigen::Vector3d::Zero(), RadFromDeg(3.0));
-  EXPECT_FALSE(empty.Nearest(Eigen::Vector3d::UnitX()).has_value());
+  EXPECT_THAT(Nearest(points, {Eigen::Vector3d::UnitX(), -Eigen::Vector3d::UnitY(),
+                               Eigen::Vector3d(kNan, 0, 0)}),
+              ElementsAre(4, kNoPoint, kNoPoint));
+  EXPECT_THAT(Nearest({}, {Eigen::Vector3d::UnitX()}), ElementsAre(kNoPoint));
 }
 
 }  // namespace
