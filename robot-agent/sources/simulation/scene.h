@@ -56,7 +56,7 @@ struct AudioConfig {
   double chunk_s = 0.05;
   double sensor_noise = 0.01;  // rms amplitude of each microphone, in the unit of `level`
   double robot_noise = 0.0;    // rms amplitude at 1 m of the robot's own drive, which the room
-                             // reflects
+                               // reflects
   double clock_drift_ppm =
       0.0;  // of the audio device: it takes (1 + 1e-6 ppm) * sample_rate_hz samples a second
   double obstruction_db = 12.0;  // loss of a direct path through furniture or a person
