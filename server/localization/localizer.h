@@ -72,9 +72,10 @@ struct LocalizerState {
   bool searching = false;
   frames::TimeNs search_from_ns = 0;  // scans before it may be of another place
   int sectors_searched = 0;
-  bool unrivalled = false;      // as far as searched, no other place explains the scans as well
-  bool rivalled = false;        // another place explains them as well as the map usually does, and
-                                // clearly better than the robot's
+  bool unrivalled = false;  // as far as searched, no other place explains the scans as well
+  // Another place explains them clearly better than the robot's: as well as the map usually does,
+  // or like no third one.
+  bool rivalled = false;
   double since_sector_m = 0.0;  // driven since the last sector was searched
   std::vector<Hypothesis> hypotheses;
   std::vector<KeptScan> kept_scans;  // oldest first

@@ -96,12 +96,12 @@ std::optional<PoseEstimate> Localizer::Search(const KeptScan& scan, const std::v
          (best->evidence - own_place->evidence) * best->weight >= config.carried_lead_m);
     // Somewhere on a whole floor plan chance explains more than an outdated map does at the right
     // place, but less than the map usually does.
-    const double usual_fit = plan_->config.health.usual_share * health_.slow_fit;
-    if (is_outdone && best->fit >= usual_fit && best->fit > health_.mean_fit &&
-        hypotheses.IsUnambiguous(memory_.sectors_searched)) {
+    const bool is_clear = is_outdone && best->fit > health_.mean_fit &&
+                          hypotheses.IsUnambiguous(memory_.sectors_searched);
+    if (is_clear && best->fit >= plan_->config.health.usual_share * health_.slow_fit) {
       return MoveTo(*best, scan, beams);
     }
-    memory_.rivalled = is_outdone && best->fit >= health_.slow_fit;
+    memory_.rivalled = is_clear || (is_outdone && best->fit >= health_.slow_fit);
     memory_.unrivalled = complete && own_place != nullptr && own_place == best &&
                          hypotheses.lead() >= config.min_lead;
     PoseEstimate estimate = *own;

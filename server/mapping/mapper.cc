@@ -12,6 +12,7 @@
 #include "mapping/drive_placement.h"
 #include "mapping/drive_registration.h"
 #include "mapping/loop_closing.h"
+#include "mapping/odometry_scale.h"
 #include "mapping/surveyed_poses.h"
 
 namespace soundmap::mapping {
@@ -75,7 +76,10 @@ class Mapper::Work {
   Work(const MapperConfig& config, const frames::Calibration& calibration,
        const Pose2& map_from_base, SurveyedPoses surveyed,
        std::shared_ptr<const building::Building> extend)
-      : config_(config), surveyed_(std::move(surveyed)), extend_(std::move(extend)) {
+      : config_(config),
+        start_map_from_base_(map_from_base),
+        surveyed_(std::move(surveyed)),
+        extend_(std::move(extend)) {
     drives_.push_back(std::make_unique<Drive>(config_, calibration, map_from_base, /*near=*/true,
                                               /*align=*/surveyed_.empty()));
   }
@@ -92,6 +96,7 @@ class Mapper::Work {
   bool Place(Drive& drive, const SurfacePyramid& surfaces);
   void Join(Drive& drive, const Placement& placement);
   void CloseLoopsBetweenDrives(int first_scan);
+  void ReturnToStart();
   absl::StatusOr<building::FloorPlan> Slice(const octomap::OcTree& octree) const;
   Isometry3d PoseOf(const Drive& drive, const PathEntry& entry) const {
     return graph_.scans[*drive.first_scan + entry.scan].map_from_base * entry.scan_from_base;
@@ -99,7 +104,8 @@ class Mapper::Work {
   void Report(MappingReport& report) const;
 
   const MapperConfig config_;
-  SurveyedPoses surveyed_;  // of the first drive
+  const Pose2 start_map_from_base_;  // of the first drive
+  SurveyedPoses surveyed_;           // of the first drive
   std::shared_ptr<const building::Building> extend_;
   std::vector<Eigen::Vector3f> building_surface_;  // of `extend_`
   std::vector<std::unique_ptr<Drive>> drives_;
@@ -277,6 +283,24 @@ absl::Status Mapper::Work::PlaceDrives(const ProgressFn& progress) {
                    ", or could lie at several places of it"));
 }
 
+// Between the start, which makes the frame, and the first scan there is odometry alone, and what it
+// turns wrong there turns the whole map. By now the drive tells how wrong that is.
+void Mapper::Work::ReturnToStart() {
+  const Drive& drive = *drives_.front();
+  const std::vector<PathEntry>& path = drive.registration.path;
+  std::vector<MappedOdometry> mapped;
+  mapped.reserve(path.size());
+  for (const PathEntry& entry : path) {
+    mapped.push_back({entry.odom_from_base, geometry::ProjectToFloor(PoseOf(drive, entry))});
+  }
+  const Pose2 start_from_first = ScaleOf(mapped).Corrected(
+      drive.preparation.first_odom_from_base()->Inverse() * path.front().odom_from_base);
+  const Isometry3d map_from_mapped =
+      (start_map_from_base_ * start_from_first * mapped.front().map_from_base.Inverse())
+          .ToIsometry();
+  for (KeyScan& scan : graph_.scans) scan.map_from_base = map_from_mapped * scan.map_from_base;
+}
+
 absl::StatusOr<building::FloorPlan> Mapper::Work::Slice(const octomap::OcTree& octree) const {
   const double laser_height_m = drives_.front()->calibration.base_from_laser.translation().z();
   const double height_m = config_.slice_height_m.value_or(
@@ -337,6 +361,7 @@ absl::StatusOr<MappingResult> Mapper::Work::Finish(const ProgressFn& progress) {
                         config_.relaxation_passes, part(kPlaced, kRelaxed), mean_residual_m_);
     if (!status.ok()) return status;
   }
+  if (!extend_ && surveyed_.empty()) ReturnToStart();
   auto octree =
       CastRays(graph_.scans, extend_ ? extend_->octree.get() : nullptr, config_.voxel_size_m,
                config_.surface_voxel_size_m, config_.occupancy, part(kRelaxed, kCast));
