@@ -6,6 +6,8 @@
 #include <cstring>
 #include <limits>
 
+#include "geometry/voxel_key.h"
+
 namespace soundmap::ray_casting {
 namespace {
 
@@ -208,7 +210,58 @@ __attribute__((target("avx2"))) void Avx2FindNearest(const SortedPoints& points,
 }
 #endif
 
+// std::floor() for what fits 32 bits, in vectors on every processor.
+SOUNDMAP_INLINE double Floor(double value) {
+  const double towards_zero = static_cast<std::int32_t>(value);
+  return towards_zero - (value < towards_zero ? 1.0 : 0.0);
+}
+
 }  // namespace
+
+// In the order of operations of `map_from_array * (range_m * direction)` and KeyFromPoint(), in
+// loops of which the compiler makes vectors.
+void FindEndKeys(const Rays& in) {
+  constexpr int kBlock = 256;
+  constexpr double kEdge = geometry::VoxelKey::kCentre;
+  const Eigen::Matrix<double, 3, 4> m = in.map_from_array.matrix().topRows<3>();
+  const double max_range_m = in.max_range_m;
+  const double voxel_size_m = in.voxel_size_m;
+  double x[kBlock];
+  double y[kBlock];
+  double z[kBlock];
+  double key[kBlock];  // exact: 48 bits
+  for (int first = 0; first < in.count; first += kBlock) {
+    const int count = std::min(kBlock, in.count - first);
+    for (int k = 0; k < count; ++k) {
+      const std::int32_t nearest = in.nearest[first + k];
+      const Eigen::Vector3f& point = in.points[std::max(nearest, 0)];
+      x[k] = nearest >= 0 ? double{point.x()} - in.base_from_array_m.x()
+                          : std::numeric_limits<double>::infinity();
+      y[k] = double{point.y()} - in.base_from_array_m.y();
+      z[k] = double{point.z()} - in.base_from_array_m.z();
+    }
+    const double* const direction = in.direction_in_array[first].data();
+    for (int k = 0; k < count; ++k) {
+      const double range_m = std::sqrt(x[k] * x[k] + (y[k] * y[k] + z[k] * z[k]));
+      const double a = range_m * direction[3 * k];
+      const double b = range_m * direction[3 * k + 1];
+      const double c = range_m * direction[3 * k + 2];
+      const double u = (m(0, 0) * a + m(0, 1) * b + m(0, 2) * c + m(0, 3)) / voxel_size_m;
+      const double v = (m(1, 0) * a + m(1, 1) * b + m(1, 2) * c + m(1, 3)) / voxel_size_m;
+      const double w = (m(2, 0) * a + m(2, 1) * b + m(2, 2) * c + m(2, 3)) / voxel_size_m;
+      const bool valid = (range_m <= max_range_m) & (u >= -kEdge) & (v >= -kEdge) & (w >= -kEdge) &
+                         (u < kEdge) & (v < kEdge) & (w < kEdge);
+      const double from_edge_u = Floor(valid ? u : 0.0) + kEdge;
+      const double from_edge_v = Floor(valid ? v : 0.0) + kEdge;
+      const double from_edge_w = Floor(valid ? w : 0.0) + kEdge;
+      const double packed = (from_edge_u * 65536.0 + from_edge_v) * 65536.0 + from_edge_w;
+      key[k] = valid ? packed : -1.0;
+    }
+    for (int k = 0; k < count; ++k) {
+      in.key[first + k] = static_cast<std::uint64_t>(static_cast<std::int64_t>(key[k]));
+    }
+  }
+}
 
 const std::vector<Kernels>& AllKernels() {
   static const std::vector<Kernels>* const kernels = [] {

@@ -1,6 +1,6 @@
 #pragma once
 
-#include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -64,6 +64,21 @@ struct Kernels {
 // Those that this processor can run, the fastest last.
 const std::vector<Kernels>& AllKernels();
 inline const Kernels& BestKernels() { return AllKernels().back(); }
+
+// The voxels in which rays end.
+struct Rays {
+  const Eigen::Vector3f* points;
+  const Eigen::Vector3d* direction_in_array;
+  const std::int32_t* nearest;  // point of each direction, or kNoPoint
+  int count;
+  Eigen::Vector3d base_from_array_m;  // where the array is among the points
+  Eigen::Isometry3d map_from_array;
+  double max_range_m;
+  double voxel_size_m;
+  std::uint64_t* key;  // of each ray, x << 32 | y << 16 | z; kNoKey: beyond the range or the octree
+};
+inline constexpr std::uint64_t kNoKey = ~std::uint64_t{0};
+void FindEndKeys(const Rays& rays);
 
 // Two chords whose squares differ by no more may be in another order in double precision.
 inline constexpr float kUndecidedChord2 = 1e-11f;

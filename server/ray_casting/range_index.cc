@@ -98,6 +98,24 @@ std::vector<std::int32_t> RangeIndex::Nearest(const LookUpDirections& directions
   return nearest;
 }
 
+std::vector<std::uint64_t> RangeIndex::EndKeys(const LookUpDirections& directions,
+                                               std::span<const std::int32_t> nearest,
+                                               const Eigen::Isometry3d& map_from_array,
+                                               double max_range_m, double voxel_size_m) const {
+  std::vector<std::uint64_t> key(nearest.size(), kNoKey);
+  if (points_.empty()) return key;
+  FindEndKeys({.points = points_.data(),
+               .direction_in_array = &directions.grid_[0],
+               .nearest = nearest.data(),
+               .count = static_cast<int>(nearest.size()),
+               .base_from_array_m = base_from_array_.translation(),
+               .map_from_array = map_from_array,
+               .max_range_m = max_range_m,
+               .voxel_size_m = voxel_size_m,
+               .key = key.data()});
+  return key;
+}
+
 // Of the points that are nearest but for rounding, the nearest in double precision.
 std::int32_t RangeIndex::DecideInDouble(const LookUpDirections& directions, int i) const {
   const auto visit = [&](auto&& visit_chord2) {

@@ -60,10 +60,12 @@ class RangeIndex {
   // kNoPoint when that is not below epsilon.
   std::vector<std::int32_t> Nearest(const LookUpDirections& directions) const;
 
-  // rho_i: of a point, from the array.
-  double Range_m(std::int32_t point) const {
-    return (points_[point].cast<double>() - base_from_array_.translation()).norm();
-  }
+  // The voxel in which the ray of each direction ends, as Rays says. It has the length rho_i and
+  // keeps the candidate direction, not the LIDAR point's.
+  std::vector<std::uint64_t> EndKeys(const LookUpDirections& directions,
+                                     std::span<const std::int32_t> nearest,
+                                     const Eigen::Isometry3d& map_from_array, double max_range_m,
+                                     double voxel_size_m) const;
 
  private:
   void SortIntoCells();

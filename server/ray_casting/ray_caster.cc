@@ -1,9 +1,12 @@
 #include "ray_casting/ray_caster.h"
 
 #include <algorithm>
-#include <boost/unordered/unordered_flat_map.hpp>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <cstdlib>
+#include <limits>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "geometry/angles.h"
@@ -17,23 +20,36 @@ absl::Status CheckRange(const char* field, double value, double min, double max)
       absl::StrCat("ray casting's ", field, " is ", value, ", but must be ", min, " to ", max));
 }
 
-// Several end points of one scan in one voxel become one, at the place of the first.
-std::vector<sound_map::EndPoint> MergeShared(const std::vector<sound_map::EndPoint>& end_points) {
-  std::vector<sound_map::EndPoint> merged;
-  merged.reserve(end_points.size());
-  boost::unordered_flat_map<geometry::VoxelKey, std::size_t, std::hash<geometry::VoxelKey>> place;
-  place.reserve(end_points.size());
-  for (const sound_map::EndPoint& end_point : end_points) {
-    const auto [entry, is_new] = place.try_emplace(end_point.key, merged.size());
-    if (is_new) {
-      merged.push_back(end_point);
-    } else {
-      float& likelihood = merged[entry->second].likelihood;
-      likelihood = std::max(likelihood, end_point.likelihood);
-    }
-  }
-  return merged;
+geometry::VoxelKey VoxelFrom(std::uint64_t key) {
+  return {static_cast<std::uint16_t>(key >> 32), static_cast<std::uint16_t>(key >> 16),
+          static_cast<std::uint16_t>(key)};
 }
+
+// Several end points of one scan in one voxel become one, at the place of the first.
+class SharedVoxels {
+ public:
+  explicit SharedVoxels(std::size_t end_points)
+      : slots_(std::bit_ceil(2 * end_points + 1), kFree),
+        shift_(64 - std::bit_width(slots_.size() - 1)) {}
+
+  void Add(std::uint64_t key, float likelihood, std::vector<sound_map::EndPoint>* end_points) {
+    const geometry::VoxelKey voxel = VoxelFrom(key);
+    std::size_t slot = (key * 0x9e3779b97f4a7c15u) >> shift_;
+    for (; slots_[slot] != kFree; slot = (slot + 1) & (slots_.size() - 1)) {
+      sound_map::EndPoint& known = (*end_points)[slots_[slot]];
+      if (known.key != voxel) continue;
+      known.likelihood = std::max(known.likelihood, likelihood);
+      return;
+    }
+    slots_[slot] = static_cast<std::uint32_t>(end_points->size());
+    end_points->push_back({voxel, likelihood});
+  }
+
+ private:
+  static constexpr std::uint32_t kFree = std::numeric_limits<std::uint32_t>::max();
+  std::vector<std::uint32_t> slots_;  // places among the end points; half of them or more are free
+  int shift_;
+};
 
 }  // namespace
 
@@ -102,20 +118,22 @@ absl::StatusOr<sound_map::EvidenceScan> RayCaster::Cast(
   const std::vector<std::int32_t> nearest = index.Nearest(directions_);
   const Eigen::Isometry3d map_from_array = map_from_base.ToIsometry() * base_from_array_;
 
+  const std::vector<std::uint64_t> keys = index.EndKeys(directions_, nearest, map_from_array,
+                                                        config_.max_range_m, config_.voxel_size_m);
+
   sound_map::EvidenceScan evidence;
   evidence.stamp_ns = likelihood.mid_ns();
-  evidence.end_points.reserve(directions_.size());
-  for (int i = 0; i < directions_.size(); ++i) {
-    if (nearest[i] == kNoPoint) continue;
-    const double range_m = index.Range_m(nearest[i]);
-    if (range_m > config_.max_range_m) continue;
-    // The ray has the length rho_i and keeps the candidate direction, not the LIDAR point's.
-    const auto key = geometry::KeyFromPoint(map_from_array * (range_m * directions_.grid()[i]),
-                                            config_.voxel_size_m);
-    if (key) evidence.end_points.push_back({*key, likelihood.likelihood[i]});
-  }
+  evidence.end_points.reserve(keys.size());
   if (config_.shared_voxel == SharedVoxel::kOnce) {
-    evidence.end_points = MergeShared(evidence.end_points);
+    SharedVoxels shared(keys.size());
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+      if (keys[i] != kNoKey) shared.Add(keys[i], likelihood.likelihood[i], &evidence.end_points);
+    }
+  } else {
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+      if (keys[i] != kNoKey)
+        evidence.end_points.push_back({VoxelFrom(keys[i]), likelihood.likelihood[i]});
+    }
   }
   return evidence;
 }

@@ -140,6 +140,8 @@ struct Case {
     }
     sorted->updateInnerOccupancy();
     Check();
+    for (const sound_map::TileBlob& tile : ours->TakeDirtyTiles())
+      bytes_on_disk += tile.bytes.size();
   }
 
   // A round takes 100 s.
@@ -174,6 +176,7 @@ struct Case {
   std::vector<EvidenceScan> scans;
   std::size_t end_points = 0;
   std::size_t voxels = 0;
+  std::size_t bytes_on_disk = 0;  // of our map's tiles, after two rounds
   frames::TimeNs stamp_ns = 1'700'000'000'000'000'000;
   std::unique_ptr<sound_map::SoundMap> ours;
   std::unique_ptr<OctoMapPeer> eager;
@@ -200,6 +203,8 @@ void Register(const std::string& evidence, const std::shared_ptr<Case>& c) {
     Run(state, *c, c->ours->MemoryBytes(), [&c] {
       for (const EvidenceScan& scan : c->scans) Require(c->ours->Apply(scan).ok(), "refused");
     });
+    state.counters["bytes_per_voxel_on_disk"] =
+        static_cast<double>(c->bytes_on_disk) / static_cast<double>(c->voxels);
   });
   add("octomap_sorted_lazy", [c](benchmark::State& state) {
     Run(state, *c, c->sorted->memoryUsage(), [&c] {

@@ -61,6 +61,7 @@ class Bench:
     def __init__(self, given):
         self.given = given
         self.work = given.work
+        self.is_mapped = False
         os.environ.update(SOUNDMAP_BIN=str(given.bin), SOUNDMAP_DRIVES=str(given.work),
                           SOUNDMAP_SOURCE_DIR=str(SYSTEM_TESTS.parent.parent))
         sys.path.insert(0, str(SYSTEM_TESTS))
@@ -77,20 +78,34 @@ class Bench:
                            stdout=subprocess.DEVNULL)
         return path
 
-    @contextlib.contextmanager
-    def server(self, cores_of_server, keep=False):
-        """A server whose site has its geometric map."""
-        data = self.work / "data"
-        if not keep:
+    def start(self, data, cores_of_server):
+        return self.programs.Server(data, "--threads", str(len(cores_of_server)), "--log-level", "warning",
+                                    preexec=lambda: os.sched_setaffinity(0, cores_of_server))
+
+    def mapped(self):
+        """The data of a server whose site has its geometric map, made once a run."""
+        data = self.work / "mapped"
+        if not self.is_mapped:
             shutil.rmtree(data, ignore_errors=True)
-        server = self.programs.Server(data, "--threads", str(len(cores_of_server)), "--log-level", "warning",
-                                      preexec=lambda: os.sched_setaffinity(0, cores_of_server))
-        try:
-            if not keep:
-                mapping = self.drive("mapping", "--mapping")
+            mapping = self.drive("mapping", "--mapping")
+            server = self.start(data, sorted(os.sched_getaffinity(0)))
+            try:
                 self.ok(server, "soundmap", "site", "create", SITE)
                 self.ok(server, "soundmap-robot", *self.replay(mapping, "mapper", "max"), "--purpose", "mapping")
                 self.ok(server, "soundmap", "map", "build", SITE)
+            finally:
+                server.stop()
+            self.is_mapped = True
+        return data
+
+    @contextlib.contextmanager
+    def server(self, cores_of_server):
+        """A server whose site has its geometric map and nothing else."""
+        data = self.work / "data"
+        shutil.rmtree(data, ignore_errors=True)
+        shutil.copytree(self.mapped(), data)
+        server = self.start(data, cores_of_server)
+        try:
             yield server
         finally:
             server.stop()
@@ -153,8 +168,6 @@ class Bench:
         settle_s = 5
         drive = self.drive(f"drive_{seconds + 2 * settle_s}", "--seconds", str(seconds + 2 * settle_s))
         with self.server(cores_of_server) as server:
-            pass  # the map is built; the memory that took is given back by starting anew
-        with self.server(cores_of_server, keep=True) as server:
             before = self.metrics(server)
             fleet = self.start_robots(server, drive, robots, "1", cores_of_clients)
             time.sleep(settle_s)
@@ -221,9 +234,9 @@ def main():
     arguments.add_argument("--repetitions", type=int, default=3, help="of the replay (%(default)s)")
     arguments.add_argument("--streaming", type=int, default=20, help="robots that stream while apps ask; 0: none (%(default)s)")
     arguments.add_argument("--streaming-seconds", type=int, default=20, help="how long apps ask (%(default)s)")
-    arguments.add_argument("--growth", type=int, nargs="*", default=[1, 2, 4, 8, 16, 32, 64],
+    arguments.add_argument("--growth", type=int, nargs="*", default=[1, 4, 16, 64],
                            help="numbers of robots whose cost is measured (%(default)s)")
-    arguments.add_argument("--growth-seconds", type=int, default=15, help="of their drive (%(default)s)")
+    arguments.add_argument("--growth-seconds", type=int, default=10, help="of their drive (%(default)s)")
     arguments.add_argument("--cpu", default="unknown processor")
     arguments.add_argument("--compiler", default="unknown compiler")
     given = arguments.parse_args()

@@ -119,6 +119,8 @@ def server_rows(server):
         two = server["two_cores"]
         rows.append(("robots on two cores by the clock; speed-up over one",
                      f"{two['robots_by_wall']:.1f}; {two['speed_up']:.2f}"))
+        rows.append(("robots on two cores if the server had both to itself, at its cost there",
+                     f"{2.0 * two['robots_per_core']:.1f}"))
     stages = sorted(full["ms_per_robot_second"].items(), key=lambda stage: -stage[1])
     total = sum(ms for _, ms in stages)
     # Amdahl: the writer of a site's map is one at a time; of the commit, encoding is not, so that this is a bound.

@@ -9,6 +9,7 @@
 
 #include "geometry/angles.h"
 #include "geometry/directions.h"
+#include "geometry/voxel_key.h"
 
 namespace soundmap::ray_casting {
 namespace {
@@ -172,11 +173,47 @@ TEST(RangeIndex, RangeIsNoReasonToPreferAPoint) {
   EXPECT_THAT(Nearest(points, {Eigen::Vector3d::UnitX()}), ElementsAre(0));
 }
 
-TEST(RangeIndex, RangeIsFromTheArray) {
-  const std::vector<Eigen::Vector3f> points = {{8.0f, 4.0f, 0.0f}};
-  RangeIndex index;
-  index.Make(points, Eigen::Isometry3d(Eigen::Translation3d(5.0, 0.0, 0.0)));
-  EXPECT_DOUBLE_EQ(index.Range_m(0), 5.0);
+// The end of each ray in the plain words of Eigen and KeyFromPoint(), to the last bit.
+TEST(RangeIndex, RaysEndInTheVoxelsOfTheirEndPoints) {
+  std::mt19937_64 random(4);
+  std::uniform_real_distribution<float> uniform(-8.0f, 8.0f);
+  std::vector<Eigen::Vector3f> points;
+  for (int i = 0; i < 2000; ++i) {
+    points.emplace_back(uniform(random), uniform(random), uniform(random));
+  }
+  const auto any_pose = [&](double reach_m) {
+    return Eigen::Isometry3d(Eigen::Translation3d(reach_m * RandomDirection(random)) *
+                             Eigen::AngleAxisd(uniform(random), RandomDirection(random)));
+  };
+  for (int i = 0; i < 300; ++i) points.push_back(0.05f * points[i].array().round().matrix());
+  const LookUpDirections look_up(geometry::DirectionGrid(Directions(random, 3001), 0.02), 0.2);
+  // Within the octree, at its edge, and on the lattice of the voxels.
+  for (const Eigen::Isometry3d& map_from_array :
+       {any_pose(20.0), any_pose(1638.4), Eigen::Isometry3d::Identity()}) {
+    const Eigen::Isometry3d base_from_array = any_pose(1.0);
+    int inside = 0;
+    for (const Kernels& kernels : AllKernels()) {
+      RangeIndex index(kernels);
+      index.Make(points, base_from_array);
+      const auto nearest = index.Nearest(look_up);
+      const auto keys = index.EndKeys(look_up, nearest, map_from_array, 6.0, 0.05);
+      for (int i = 0; i < look_up.size(); ++i) {
+        std::uint64_t expected = kNoKey;
+        if (nearest[i] != kNoPoint) {
+          const double range_m =
+              (points[nearest[i]].cast<double>() - base_from_array.translation()).norm();
+          const auto key =
+              geometry::KeyFromPoint(map_from_array * (range_m * look_up.grid()[i]), 0.05);
+          if (key && range_m <= 6.0) {
+            ++inside;
+            expected = std::uint64_t{key->x} << 32 | std::uint64_t{key->y} << 16 | key->z;
+          }
+        }
+        ASSERT_EQ(keys[i], expected) << kernels.name << ", direction " << i;
+      }
+    }
+    EXPECT_GT(inside, 100);
+  }
 }
 
 TEST(RangeIndex, NothingBeyondTheAngle) {
