@@ -13,6 +13,7 @@
 #include <filesystem>
 #include <optional>
 #include <type_traits>
+#include <vector>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -90,10 +91,18 @@ http::response<http::string_body> Answer(const http::request<http::string_body>&
   return response;
 }
 
+class StoppableConnection {
+ public:
+  virtual ~StoppableConnection() = default;
+  // Closes it, whatever it is at. Any thread.
+  virtual void Stop() = 0;
+};
+
 // One connection: the handshake, then requests one after the other until the peer closes or is too
 // slow. `Stream` is a tcp_stream or an ssl_stream over one.
 template <typename Stream>
-class Connection : public std::enable_shared_from_this<Connection<Stream>> {
+class Connection : public StoppableConnection,
+                   public std::enable_shared_from_this<Connection<Stream>> {
  public:
   template <typename... Tls>
   Connection(std::shared_ptr<const Source> source, tcp::socket socket, Tls&... tls)
@@ -109,6 +118,12 @@ class Connection : public std::enable_shared_from_this<Connection<Stream>> {
                                 if (!error) self->Read();
                               });
     }
+  }
+
+  void Stop() override {
+    asio::post(stream_.get_executor(), [self = this->shared_from_this()] {
+      beast::get_lowest_layer(self->stream_).close();
+    });
   }
 
  private:
@@ -220,23 +235,33 @@ class HttpGateway::Listener : public std::enable_shared_from_this<Listener> {
     asio::post(acceptor_.get_executor(), [self = shared_from_this()] {
       beast::error_code ignored;
       self->acceptor_.close(ignored);
+      for (const auto& connection : self->connections_) {
+        if (const auto open = connection.lock()) open->Stop();
+      }
     });
   }
 
  private:
   void Serve(tcp::socket socket) {
+    std::erase_if(connections_, [](const auto& connection) { return connection.expired(); });
     if (tls_) {
-      std::make_shared<Connection<beast::ssl_stream<beast::tcp_stream>>>(source_, std::move(socket),
-                                                                         tls_->Get())
-          ->Start();
+      Start(std::make_shared<Connection<beast::ssl_stream<beast::tcp_stream>>>(
+          source_, std::move(socket), tls_->Get()));
     } else {
-      std::make_shared<Connection<beast::tcp_stream>>(source_, std::move(socket))->Start();
+      Start(std::make_shared<Connection<beast::tcp_stream>>(source_, std::move(socket)));
     }
+  }
+  template <typename Connection>
+  void Start(const std::shared_ptr<Connection>& connection) {
+    connections_.push_back(connection);
+    connection->Start();
   }
 
   tcp::acceptor acceptor_;
   const std::shared_ptr<const Source> source_;
-  std::optional<TlsContext> tls_;  // on the acceptor's strand
+  // On the acceptor's strand.
+  std::optional<TlsContext> tls_;
+  std::vector<std::weak_ptr<StoppableConnection>> connections_;
 };
 
 absl::StatusOr<std::unique_ptr<HttpGateway>> HttpGateway::Start(

@@ -29,7 +29,7 @@ class HttpGateway {
   static absl::StatusOr<std::unique_ptr<HttpGateway>> Start(
       const boost::asio::any_io_executor& executor, const std::string& address,
       const api::TlsFiles& tls, Source source);
-  // Stops listening; connections that are open end with their present request.
+  // Stops listening and closes the connections.
   ~HttpGateway();
 
   // HOST:PORT as bound.

@@ -42,11 +42,11 @@ class Server:
     def alive(self):
         return self.process.poll() is None
 
-    def stop(self):
+    def stop(self, within_s=30):
         """SIGTERM; the exit status."""
         self.process.send_signal(signal.SIGTERM)
         try:
-            return self.process.wait(timeout=30)
+            return self.process.wait(timeout=within_s)
         finally:
             self.close()
 

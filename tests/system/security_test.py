@@ -109,6 +109,12 @@ class SecurityTest(ProgramTest):
                             pass
         self.assertEqual(self.https(server, "/livez")[0], 200)
 
+        # Those who keep their connection open do not hold the server up.
+        for secure in (False, True):
+            raw = socket.create_connection((host, int(port)), timeout=30)
+            self.addCleanup((trusted.wrap_socket(raw, server_hostname=host) if secure else raw).close)
+        self.assertEqual(server.stop(within_s=10), 0)
+
     def test_the_certificate_of_the_http_port_is_read_again(self):
         server = self.secure_server()
         self.assertEqual(self.https(server, "/livez")[0], 200)
