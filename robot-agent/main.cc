@@ -7,8 +7,6 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <optional>
 #include <random>
 #include <string>
@@ -17,16 +15,20 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/ascii.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/time/time.h"
+#include "run_agent.h"
+#include "server_files.h"
 #include "sources/convert/convert.h"
 #include "sources/replay/replay.h"
 #include "sources/simulation/random_scene.h"
 #include "sources/simulation/simulate.h"
 #include "sources/snapped_source.h"
+#include "spool/spool.h"
 #include "uplink/channel.h"
+#include "uplink/drive_session.h"
 #include "uplink/uploader.h"
 
 namespace soundmap {
@@ -57,105 +59,34 @@ class ProgressLine {
   std::chrono::steady_clock::time_point shown_at_;
 };
 
-absl::StatusOr<std::string> FileText(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  std::string text{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
-  if (!file) return absl::NotFoundError(absl::StrCat("cannot read '", path, "'"));
-  return text;
-}
-
 struct ReplayCommand {
   std::string drive;
-  std::string site;
-  std::string robot;
+  uplink::DriveSession session;
   std::string speed = "1";
-  std::vector<double> initial_pose;
-  std::string purpose = "listening";
   bool new_session = false;
-  double laser_time_increment_s = 0.0;
   double lidar_resolution_m = 0.001;
   bool uncoded = false;
   recording::DriveTopics topics;
-  std::string server = "127.0.0.1:7443";
-  std::string token_file;
-  std::string tls_ca;
-  std::string tls_cert;
-  std::string tls_key;
+  ServerFiles server;
   double connect_timeout_s = 60.0;
 };
 
-void Set(const Eigen::Vector3d& from, v1::Vector3& to) {
-  to.set_x(from.x());
-  to.set_y(from.y());
-  to.set_z(from.z());
-}
-
-void Set(const Eigen::Isometry3d& from, v1::Transform& to) {
-  Set(from.translation(), *to.mutable_translation_m());
-  const Eigen::Quaterniond rotation(from.linear());
-  to.mutable_rotation()->set_x(rotation.x());
-  to.mutable_rotation()->set_y(rotation.y());
-  to.mutable_rotation()->set_z(rotation.z());
-  to.mutable_rotation()->set_w(rotation.w());
-}
-
-v1::CreateSessionRequest SessionRequest(const ReplayCommand& command,
-                                        const sources::Replay& replay) {
-  v1::CreateSessionRequest request;
-  request.set_site(absl::StrCat("sites/", command.site));
-  request.set_robot(absl::StrCat("robots/", command.robot));
-  request.set_session_id(replay.SessionId(command.site, command.robot, command.purpose));
-  if (command.new_session) {
-    std::random_device random;
-    absl::StrAppendFormat(request.mutable_session_id(), "-%08x", random());
-  }
-  const bool listening = command.purpose == "listening";
-  request.set_purpose(listening ? v1::PURPOSE_LISTENING : v1::PURPOSE_MAPPING);
-  v1::Calibration& calibration = *request.mutable_calibration();
-  const recording::RobotModel& robot = replay.robot();
-  if (robot.base_from_array) Set(*robot.base_from_array, *calibration.mutable_base_from_array());
-  if (robot.base_from_lidar) Set(*robot.base_from_lidar, *calibration.mutable_base_from_lidar());
-  if (robot.base_from_laser) Set(*robot.base_from_laser, *calibration.mutable_base_from_laser());
-  for (const Eigen::Vector3d& mic : robot.mic_in_array_m) {
-    Set(mic, *calibration.add_mic_in_array_m());
-  }
-  calibration.set_laser_time_increment_s(command.laser_time_increment_s);
-  calibration.set_audio_sample_rate_hz(replay.survey().audio_sample_rate_hz);
-  if (!command.initial_pose.empty()) {
-    request.mutable_initial_pose()->set_x_m(command.initial_pose[0]);
-    request.mutable_initial_pose()->set_y_m(command.initial_pose[1]);
-    request.mutable_initial_pose()->set_yaw_rad(command.initial_pose[2]);
-  }
-  if (listening) {
-    for (const std::string& warning : replay.ListeningWarnings()) request.add_warnings(warning);
-  }
-  return request;
-}
-
 absl::Status RunReplay(const ReplayCommand& command) {
-  uplink::ServerOptions server{.address = command.server};
-  if (!command.token_file.empty()) {
-    absl::StatusOr<std::string> token = FileText(command.token_file);
-    if (!token.ok()) return token.status();
-    server.token = std::string(absl::StripAsciiWhitespace(*token));
-  }
-  for (const auto& [path, text] : {std::pair(&command.tls_ca, &server.tls_ca_pem),
-                                   std::pair(&command.tls_cert, &server.tls_cert_pem),
-                                   std::pair(&command.tls_key, &server.tls_key_pem)}) {
-    if (path->empty()) continue;
-    absl::StatusOr<std::string> pem = FileText(*path);
-    if (!pem.ok()) return pem.status();
-    *text = *std::move(pem);
-  }
-  auto channel = uplink::OpenChannel(server);
+  auto server = ReadServerOptions(command.server);
+  if (!server.ok()) return server.status();
+  auto channel = uplink::OpenChannel(*server);
   if (!channel.ok()) return channel.status();
   auto replay = sources::Replay::Open(command.drive, command.topics);
   if (!replay.ok()) return replay.status();
 
   uplink::UploadOptions options;
-  options.server = server.address;
-  options.token = server.token;
-  options.session = SessionRequest(command, **replay);
+  options.server = server->address;
+  options.token = server->token;
+  options.session = uplink::SessionRequest(command.session, **replay);
+  if (command.new_session) {
+    std::random_device random;
+    absl::StrAppendFormat(options.session.mutable_session_id(), "-%08x", random());
+  }
   for (const std::string& warning : options.session.warnings()) {
     std::fprintf(stderr, "soundmap-robot: warning: %s\n", warning.c_str());
   }
@@ -215,8 +146,8 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
       "is durable and processed. A damaged recording is sent up to the damage; once that is\n"
       "processed, the exit status is 1 and the error says where the damage is.");
   replay->add_option("DRIVE", command.drive, "The recording (.mcap)")->required();
-  replay->add_option("--site", command.site, "The site")->required();
-  replay->add_option("--robot", command.robot, "The robot's name")->required();
+  replay->add_option("--site", command.session.site, "The site")->required();
+  replay->add_option("--robot", command.session.robot, "The robot's name")->required();
   replay
       ->add_option("--speed", command.speed,
                    "Times real time, or 'max': as fast as the server takes it")
@@ -228,7 +159,7 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
         return valid ? std::string() : "'" + text + "' is neither a positive number nor 'max'";
       });
   replay
-      ->add_option("--initial-pose", command.initial_pose,
+      ->add_option("--initial-pose", command.session.initial_pose,
                    "x,y,yaw in the map where the drive starts (metres, radians); for a mapping "
                    "drive it fixes the map, default 0,0,0")
       ->delimiter(',')
@@ -239,13 +170,13 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
         const bool valid = absl::SimpleAtod(text, &number) && std::isfinite(number);
         return valid ? std::string() : "'" + text + "' is not a number";
       });
-  replay->add_option("--purpose", command.purpose, "What the drive is for")
+  replay->add_option("--purpose", command.session.purpose, "What the drive is for")
       ->check(CLI::IsMember({"listening", "mapping"}))
       ->capture_default_str();
   replay->add_flag("--new-session", command.new_session,
                    "Count the drive again even if the server knows it");
   replay
-      ->add_option("--laser-time-increment", command.laser_time_increment_s,
+      ->add_option("--laser-time-increment", command.session.laser_time_increment_s,
                    "Seconds between two beams of the LRF; 0: a scan is instantaneous")
       ->check(CLI::Range(0.0, 1.0));
   replay
@@ -260,14 +191,14 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
   replay->add_option("--laser-topic", command.topics.laser)->capture_default_str();
   replay->add_option("--odometry-topic", command.topics.odometry)->capture_default_str();
   replay->add_option("--transforms-topic", command.topics.transforms)->capture_default_str();
-  replay->add_option("--server", command.server, "HOST:PORT")
+  replay->add_option("--server", command.server.address, "HOST:PORT")
       ->envname("SOUNDMAP_SERVER")
       ->capture_default_str();
-  replay->add_option("--token-file", command.token_file, "File with a bearer token");
-  replay->add_option("--tls-ca", command.tls_ca,
+  replay->add_option("--token-file", command.server.token_file, "File with a bearer token");
+  replay->add_option("--tls-ca", command.server.tls_ca,
                      "Certificates to trust (PEM); without, the connection is plain text");
-  replay->add_option("--tls-cert", command.tls_cert, "The robot's own certificate (PEM)");
-  replay->add_option("--tls-key", command.tls_key, "Its private key (PEM)");
+  replay->add_option("--tls-cert", command.server.tls_cert, "The robot's own certificate (PEM)");
+  replay->add_option("--tls-key", command.server.tls_key, "Its private key (PEM)");
   replay
       ->add_option("--connect-timeout", command.connect_timeout_s,
                    "Seconds to go on trying in vain to reach the server")
@@ -376,6 +307,62 @@ void AddConvert(CLI::App& app, ConvertCommand& command) {
       ->capture_default_str();
 }
 
+struct RunCommand {
+  std::string config;
+};
+
+void AddRun(CLI::App& app, RunCommand& command) {
+  CLI::App* run = app.add_subcommand("run", "Records to the spool and delivers, for ever");
+  run->footer(
+      "Everything goes to the spool first and waits there until the server has it on its disk.\n"
+      "Ends with the source, when all is delivered, or on SIGTERM: what is left goes on with the\n"
+      "next run.");
+  run->add_option("--config", command.config, "See docs/agent.md (.toml)")->required();
+}
+
+struct SpoolCommand {
+  std::string folder;
+  std::string format = "table";
+};
+
+void AddSpool(CLI::App& app, SpoolCommand& command) {
+  CLI::App* spool = app.add_subcommand("spool", "Shows what waits for the server");
+  spool->add_option("--dir", command.folder, "The spool")->required();
+  spool->add_option("--format", command.format)
+      ->check(CLI::IsMember({"table", "json"}))
+      ->capture_default_str();
+}
+
+std::string TimeText(std::int64_t time_ns) {
+  return absl::FormatTime("%Y-%m-%d %H:%M:%S", absl::FromUnixNanos(time_ns), absl::UTCTimeZone());
+}
+
+absl::Status ShowSpool(const SpoolCommand& command) {
+  const auto sessions = spool::Inspect(command.folder);
+  if (!sessions.ok()) return sessions.status();
+  if (command.format == "json") {
+    std::puts(spool::ToJson(*sessions).c_str());
+    return absl::OkStatus();
+  }
+  std::printf("%-22s %-20s %-10s %10s %10s %10s  %-19s %s\n", "SESSION", "SITE", "STATE",
+              "RECORDED", "WAITING", "MB", "OLDEST (UTC)", "GAPS");
+  for (const spool::SessionSummary& session : *sessions) {
+    std::int64_t lost = 0;
+    for (const spool::Gap& gap : session.gaps) lost += gap.end - gap.first;
+    std::printf(
+        "%-22s %-20s %-10s %10lld %10lld %10.1f  %-19s %s\n", session.session.c_str(),
+        session.site.c_str(),
+        session.delivered ? "delivered"
+        : session.ended   ? "ended"
+                          : "open",
+        static_cast<long long>(session.recorded), static_cast<long long>(session.waiting),
+        static_cast<double>(session.bytes) * 1e-6,
+        session.oldest_ns == 0 ? "-" : TimeText(session.oldest_ns).c_str(),
+        lost == 0 ? "-" : absl::StrCat(session.gaps.size(), " (", lost, " frames)").c_str());
+  }
+  return absl::OkStatus();
+}
+
 int Main(int argc, char** argv) {
   CLI::App app("Sound map: the robot's side");
   app.require_subcommand(1);
@@ -385,6 +372,10 @@ int Main(int argc, char** argv) {
   AddReplay(app, replay);
   AddSimulate(app, simulate);
   AddConvert(app, convert);
+  RunCommand run;
+  SpoolCommand spool;
+  AddRun(app, run);
+  AddSpool(app, spool);
   try {
     app.parse(argc, argv);
   } catch (const CLI::CallForHelp&) {
@@ -396,6 +387,8 @@ int Main(int argc, char** argv) {
   }
   const absl::Status status = app.got_subcommand("replay")     ? RunReplay(replay)
                               : app.got_subcommand("simulate") ? RunSimulate(simulate)
+                              : app.got_subcommand("run")      ? RunAgent(run.config)
+                              : app.got_subcommand("spool")    ? ShowSpool(spool)
                                                                : RunConvert(convert);
   if (status.ok()) return 0;
   std::fprintf(stderr, "soundmap-robot: %s\n", std::string(status.message()).c_str());

@@ -9,7 +9,9 @@
 
 namespace soundmap::sources {
 
-enum class Sensor { kAudio, kLidar, kLaser, kOdometry };
+// kGap stands for frames that were lost: its payload is a foxglove.KeyValuePair "gap" that says
+// which.
+enum class Sensor { kAudio, kLidar, kLaser, kOdometry, kGap };
 
 // One sensor message, on its way to the server as it was recorded.
 struct SensorFrame {
@@ -26,8 +28,10 @@ class FrameSource {
 
   // The next frame is the one at `offset`. OutOfRange: the drive has fewer frames.
   virtual absl::Status Seek(std::int64_t offset) = 0;
-  // None at the end.
+  // None at the end, or while there are no more yet.
   virtual absl::StatusOr<std::optional<SensorFrame>> Next() = 0;
+  // After none: whether that was the end.
+  virtual bool AtEnd() const { return true; }
 };
 
 }  // namespace soundmap::sources

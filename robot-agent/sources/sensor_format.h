@@ -22,6 +22,8 @@ constexpr SensorFormat FormatOf(Sensor sensor) {
       return {"/scan", "foxglove.LaserScan"};
     case Sensor::kOdometry:
       return {"/odom", "foxglove.Odometry"};
+    case Sensor::kGap:
+      return {"/session/gap", "foxglove.KeyValuePair"};
   }
   return {};
 }

@@ -17,6 +17,8 @@ v1::Sensor ToProto(sources::Sensor sensor) {
       return v1::SENSOR_LASER;
     case sources::Sensor::kOdometry:
       return v1::SENSOR_ODOMETRY;
+    case sources::Sensor::kGap:
+      return v1::SENSOR_GAP;
   }
   return v1::SENSOR_UNSPECIFIED;
 }

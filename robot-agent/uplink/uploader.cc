@@ -5,6 +5,7 @@
 #include <thread>
 #include <utility>
 
+#include "absl/cleanup/cleanup.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "google/rpc/status_details.pb.h"
@@ -21,6 +22,8 @@ using std::chrono::nanoseconds;
 constexpr std::int64_t kMaxChunkBytes = 256 << 10;
 constexpr int kMaxChunkFrames = 2048;
 constexpr std::chrono::seconds kCallTimeout{30};
+// How often a source that has no more yet is asked again.
+constexpr milliseconds kPollInterval{50};
 
 // Frames become due by their log time, counted from the first one that is sent.
 class Pace {
@@ -71,7 +74,7 @@ class Outbox {
   std::uint32_t part() const { return part_; }
   void AdvancePart() { ++part_; }
 
- private:
+  // Looks for the frame at hand again, after there was none.
   absl::Status Load() {
     part_ = 0;
     frame_.reset();
@@ -89,6 +92,7 @@ class Outbox {
     return absl::OkStatus();
   }
 
+ private:
   sources::FrameSource& source_;
   const recording::FrameCoding coding_;
   std::optional<OutgoingFrame> frame_;
@@ -129,6 +133,7 @@ absl::StatusOr<UploadResult> Uploader::Upload(
     progressed_ = false;
     const absl::Status status = Attempt(source);
     if (status.ok()) return result_;
+    if (Stopped(milliseconds(0))) return absl::CancelledError("the upload was stopped");
     if (!IsRetryable(status, asked_delay_ > milliseconds(0))) return status;
     if (progressed_) {
       trying_since = clock_();
@@ -146,8 +151,30 @@ absl::StatusOr<UploadResult> Uploader::Upload(
         std::uniform_int_distribution<std::int64_t>(0, backoff.count())(random_));
     backoff = std::min(2 * backoff, options_.max_backoff);
     const auto left = std::chrono::duration_cast<milliseconds>(options_.give_up_after - in_vain);
-    std::this_thread::sleep_for(std::min(asked_delay_ + jitter, left));
+    if (Stopped(std::min(asked_delay_ + jitter, left))) {
+      return absl::CancelledError("the upload was stopped");
+    }
   }
+}
+
+void Uploader::Stop() {
+  {
+    std::lock_guard lock(mutex_);
+    stopped_ = true;
+    if (context_ != nullptr) context_->TryCancel();
+  }
+  stop_.notify_all();
+}
+
+bool Uploader::Stopped(milliseconds time) {
+  std::unique_lock lock(mutex_);
+  return stop_.wait_for(lock, time, [this] { return stopped_; });
+}
+
+void Uploader::SetContext(grpc::ClientContext* context) {
+  std::lock_guard lock(mutex_);
+  context_ = context;
+  if (stopped_ && context != nullptr) context->TryCancel();
 }
 
 absl::Status Uploader::Attempt(sources::FrameSource& source) {
@@ -155,18 +182,21 @@ absl::Status Uploader::Attempt(sources::FrameSource& source) {
   v1::Session session;
   const auto context = MakeContext();
   context->set_deadline(std::chrono::system_clock::now() + kCallTimeout);
-  if (absl::Status status =
-          FromServer(sessions_->CreateSession(context.get(), options_.session, &session));
-      !status.ok()) {
-    return status;
-  }
+  SetContext(context.get());
+  const grpc::Status created = sessions_->CreateSession(context.get(), options_.session, &session);
+  SetContext(nullptr);
+  if (absl::Status status = FromServer(created); !status.ok()) return status;
   result_.session = session.name();
   if (session.state() == v1::SESSION_STATE_FAILED) {
     return absl::FailedPreconditionError(
         absl::StrCat("session '", session.name(), "' has failed: ", session.error_message()));
   }
 
-  IngestStream stream(*ingest_, MakeContext());
+  auto stream_context = MakeContext();
+  grpc::ClientContext* const running = stream_context.get();
+  IngestStream stream(*ingest_, std::move(stream_context));
+  SetContext(running);
+  const absl::Cleanup unset = [this] { SetContext(nullptr); };
   v1::IngestRequest open;
   open.mutable_open()->set_session(session.name());
   open.mutable_open()->set_epoch(session.epoch());
@@ -219,6 +249,11 @@ absl::StatusOr<bool> Uploader::SendFrames(IngestStream& stream, sources::FrameSo
     }
     if (finished || broken || state.drain) {
       stream.WaitForNews(state, std::nullopt);
+      continue;
+    }
+    if (!outbox.frame() && !source.AtEnd()) {
+      stream.WaitForNews(state, kPollInterval);
+      if (absl::Status status = outbox.Load(); !status.ok()) return status;
       continue;
     }
     if (!outbox.frame()) {

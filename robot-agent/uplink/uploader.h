@@ -1,9 +1,11 @@
 #pragma once
 
 #include <chrono>
+#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <random>
 #include <string>
@@ -63,6 +65,9 @@ class Uploader {
   absl::StatusOr<UploadResult> Upload(sources::FrameSource& source,
                                       const std::function<void(const UploadProgress&)>& progress);
 
+  // Ends Upload() with Cancelled, now or as soon as it is called. On any thread.
+  void Stop();
+
  private:
   absl::Status Attempt(sources::FrameSource& source);
   // Returns when the call is over: whether all had been sent. An error when the source cannot be
@@ -72,6 +77,10 @@ class Uploader {
   void NoteProgress(const Watermarks& watermarks);
   std::unique_ptr<grpc::ClientContext> MakeContext() const;
   absl::Status FromServer(const grpc::Status& status);
+
+  // Waits so long, or until it is stopped; whether it is.
+  bool Stopped(std::chrono::milliseconds time);
+  void SetContext(grpc::ClientContext* context);
 
   const UploadOptions options_;
   const Clock clock_;
@@ -84,6 +93,11 @@ class Uploader {
   UploadProgress now_;
   bool progressed_ = false;                   // in the attempt at hand
   std::chrono::milliseconds asked_delay_{0};  // by the server's last error
+
+  std::mutex mutex_;
+  std::condition_variable stop_;
+  bool stopped_ = false;                    // guarded by mutex_
+  grpc::ClientContext* context_ = nullptr;  // of the call that runs; guarded by mutex_
 };
 
 }  // namespace soundmap::uplink

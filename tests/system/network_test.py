@@ -1,13 +1,126 @@
-"""How frames reach the server over a network: coded, cut, late, half-open."""
+"""How frames reach the server over a network that fails: coded, spooled, cut, with the agent killed."""
 
+import json
+import random
+import select
+import socket
+import threading
 import unittest
 
-from programs import DRIVES, ProgramTest
+from programs import DRIVES, ProgramTest, start, start_pose
 
 SHORT = DRIVES / "short.mcap"
 
 
+class Link:
+    """A TCP proxy to the server. While it is down, nobody gets through and no connection lives."""
+
+    def __init__(self, up=True):
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.address = "127.0.0.1:%d" % self.listener.getsockname()[1]
+        self.target = None
+        self.is_up = up
+        self.lock = threading.Lock()
+        self.sockets = []
+        threading.Thread(target=self.accept, daemon=True).start()
+
+    def accept(self):
+        while True:
+            try:
+                client, _ = self.listener.accept()
+            except OSError:
+                return
+            with self.lock:
+                if not self.is_up or self.target is None:
+                    client.close()
+                    continue
+                host, port = self.target.rsplit(":", 1)
+                try:
+                    server = socket.create_connection((host, int(port)))
+                except OSError:
+                    client.close()
+                    continue
+                self.sockets += [client, server]
+            threading.Thread(target=self.forward, args=(client, server), daemon=True).start()
+
+    @staticmethod
+    def forward(client, server):
+        other = {client: server, server: client}
+        try:
+            while True:
+                for end in select.select([client, server], [], [])[0]:
+                    data = end.recv(1 << 16)
+                    if not data:
+                        raise OSError
+                    other[end].sendall(data)
+        except (OSError, ValueError):
+            client.close()
+            server.close()
+
+    def down(self):
+        with self.lock:
+            self.is_up = False
+            for end in self.sockets:
+                try:
+                    end.shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    pass
+            self.sockets = []
+
+    def up(self):
+        with self.lock:
+            self.is_up = True
+
+    def close(self):
+        self.listener.close()
+        self.down()
+
+
 class NetworkTest(ProgramTest):
+    def link_to(self, server, up=True):
+        link = Link(up)
+        link.target = server.address
+        self.addCleanup(link.close)
+        return link
+
+    def config(self, drive, address, *, speed=8, spool=""):
+        x, y, yaw = start_pose(drive).split(",")
+        path = self.folder / "agent.toml"
+        path.write_text(f"""
+[server]
+address = "{address}"
+[robot]
+name = "robot"
+site = "site"
+initial_x_m = {float(x)}
+initial_y_m = {float(y)}
+initial_yaw_deg = {float(yaw) * 57.29577951308232}
+[source]
+drive = "{drive}"
+speed = {speed}
+[spool]
+dir = "{self.folder / 'spool'}"
+{spool}
+""")
+        return path
+
+    def undisturbed(self, drive):
+        """Sources and map of the same session without anything in between."""
+        server = self.server("undisturbed")
+        self.make_site(server)
+        agent = start(server, "soundmap-robot", "run", "--config", self.config(drive, server.address, speed=0))
+        self.assertEqual(agent.wait(timeout=120), 0, agent.stderr.read())
+        agent.communicate()
+        results = self.sources_json(server), self.full_map(server), self.processed(server)
+        server.kill()
+        for path in sorted((self.folder / "spool").rglob("*"), reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
+        return results
+
+    def spooled(self):
+        out = self.ok(None, "soundmap-robot", "spool", "--dir", self.folder / "spool", "--format", "json")
+        return json.loads(out)["sessions"]
+
     def test_coded_frames_give_the_same_map_as_raw_ones(self):
         server = self.server("coded")
         self.make_site(server)
@@ -21,6 +134,75 @@ class NetworkTest(ProgramTest):
         self.ok(server, "soundmap-robot", *self.replay_arguments(SHORT), "--uncoded")
         self.assertEqual(self.full_map(server), voxels)
         self.assertEqual(self.sources_json(server), sources)
+
+    def test_the_agent_killed_and_the_link_cut_at_random_moments(self):
+        sources, voxels, frames = self.undisturbed(SHORT)
+        server = self.server("disturbed")
+        self.make_site(server)
+        link = self.link_to(server)
+        config = self.config(SHORT, link.address)
+        generator = random.Random(3)
+        moments = sorted(generator.sample(range(frames), 8))
+        agent = None
+        for i, moment in enumerate(moments):
+            if agent is None:
+                agent = start(server, "soundmap-robot", "run", "--config", config)
+            while self.processed(server) < moment and agent.poll() is None:
+                pass
+            if i % 2 == 0:
+                agent.kill()
+                agent.communicate()
+                agent = None
+            else:
+                link.down()
+                link.up()
+        agent = agent or start(server, "soundmap-robot", "run", "--config", config)
+        self.assertEqual(agent.wait(timeout=120), 0, agent.stderr.read())
+        agent.communicate()
+        self.assertEqual(self.processed(server), frames)
+        self.assertEqual(self.full_map(server), voxels)
+        self.assertEqual(self.sources_json(server), sources)
+        # The drive again counts nothing: the spool knows that it was delivered.
+        agent = start(server, "soundmap-robot", "run", "--config", config)
+        self.assertEqual(agent.wait(timeout=60), 0)
+        agent.communicate()
+        self.assertEqual(self.full_map(server), voxels)
+
+    def test_a_drive_without_a_network_waits_on_the_robot(self):
+        sources, voxels, frames = self.undisturbed(SHORT)
+        server = self.server("late")
+        self.make_site(server)
+        link = self.link_to(server, up=False)
+        config = self.config(SHORT, link.address, speed=0)
+        agent = start(server, "soundmap-robot", "run", "--config", config)
+        while not (self.folder / "spool").exists() or not any(s["ended"] for s in self.spooled()):
+            self.assertIsNone(agent.poll())
+        (session,) = self.spooled()
+        self.assertEqual((session["recorded"], session["waiting"]), (frames, frames))
+        agent.terminate()  # and the robot is switched off
+        self.assertEqual(agent.wait(timeout=20), 0)
+        agent.communicate()
+        link.up()
+        agent = start(server, "soundmap-robot", "run", "--config", config)
+        self.assertEqual(agent.wait(timeout=120), 0, agent.stderr.read())
+        agent.communicate()
+        self.assertEqual(self.full_map(server), voxels)
+        self.assertEqual(self.sources_json(server), sources)
+        (session,) = self.spooled()
+        self.assertTrue(session["delivered"])
+        self.assertEqual(session["bytes"], 0)
+
+    def test_a_configuration_with_a_mistake_is_refused(self):
+        path = self.config(SHORT, "127.0.0.1:1")
+        text = path.read_text()
+        for mistake, says in ((text + "max_gigabytes = 1\n", "spool.max_gigabytes"),
+                              (text.replace('name = "robot"', ""), "robot.name"),
+                              (text.replace("speed = 8", 'speed = "fast"'), "source.speed"),
+                              (text + 'when_full = "explode"\n', "spool.when_full"),
+                              (text + "max_gb = -1\n", "spool.max_gb"),
+                              ("[robot", "agent.toml")):
+            path.write_text(mistake)
+            self.refused(None, "soundmap-robot", "run", "--config", path, says=says)
 
 
 if __name__ == "__main__":
