@@ -13,7 +13,7 @@ namespace {
 // The normal of a surface is known to some 2 degrees, and a mirror turns by twice that.
 const double kNearImage = std::cos(geometry::RadFromDeg(6.0));
 // As far as the LIDAR's points are apart.
-const double kNearRay = std::cos(geometry::RadFromDeg(3.0));
+constexpr double kNearRay_rad = geometry::RadFromDeg(3.0);
 constexpr double kPatch_m = 0.3;         // of a surface, around the end of a ray,
 constexpr double kPatchPerRange = 0.08;  // wider far away
 constexpr int kMostPoints = 48;          // of a patch that planes are laid through
@@ -69,44 +69,56 @@ std::optional<Eigen::Vector3d> NormalOf(const std::vector<Eigen::Vector3f>& poin
   return axes.eigenvectors().col(0);
 }
 
-// On the axes of base_link at the LIDAR's reference time.
-std::optional<Surface> SurfaceAlong(std::span<const Eigen::Vector3f> points,
-                                    const Eigen::Vector3d& origin,
-                                    const Eigen::Vector3d& direction) {
-  const Eigen::Vector3f from = origin.cast<float>();
-  const Eigen::Vector3f along = direction.cast<float>();
-  // Of all points near the ray the one nearest to it.
-  auto best = static_cast<float>(kNearRay);
-  const Eigen::Vector3f* end = nullptr;
-  for (const Eigen::Vector3f& point : points) {
-    const Eigen::Vector3f way = point - from;
-    const float ahead = way.dot(along);
-    if (ahead <= 0.0f) continue;
-    const float squared = way.squaredNorm();
-    if (ahead * ahead <= best * best * squared) continue;
-    best = ahead / std::sqrt(squared);
-    end = &point;
+// The LIDAR's points as seen from the array, on the axes of base_link at the LIDAR's reference
+// time.
+class View {
+ public:
+  View(std::span<const Eigen::Vector3f> points, const Eigen::Vector3d& origin)
+      : points_(points), origin_(origin), unit_(points.size(), 3), cosine_(points.size()) {
+    const Eigen::Map<const Eigen::Matrix3Xf> columns(points.data()->data(), 3, points.size());
+    unit_ = (columns.colwise() - origin.cast<float>()).transpose();
+    unit_.array().colwise() /= unit_.rowwise().norm().array().max(1e-6f);
   }
-  if (end == nullptr) return std::nullopt;
-  const double range_m = (*end - from).norm();
-  const double patch_m = std::max(kPatch_m, kPatchPerRange * range_m);
-  const auto reach2 = static_cast<float>(patch_m * patch_m);
-  std::vector<Eigen::Vector3f> patch = {*end};
-  for (const Eigen::Vector3f& point : points) {
-    if ((point - *end).squaredNorm() <= reach2 && &point != end) patch.push_back(point);
+
+  // What the ray meets; none where no point is near it.
+  std::optional<Surface> Along(const Eigen::Vector3d& direction) {
+    const Eigen::Vector3f along = direction.cast<float>();
+    cosine_.noalias() = unit_ * along;
+    Eigen::Index nearest = 0;
+    if (!(cosine_.maxCoeff(&nearest) > static_cast<float>(std::cos(kNearRay_rad))))
+      return std::nullopt;
+    const Eigen::Vector3f& end = points_[nearest];
+    const double range_m = (end.cast<double>() - origin_).norm();
+    const double patch_m = std::max(kPatch_m, kPatchPerRange * range_m);
+    // A point that far from the end of the ray is seen within this angle of it.
+    const double widest_rad = std::asin(std::min(1.0, patch_m / range_m)) + kNearRay_rad;
+    const auto least = static_cast<float>(std::cos(widest_rad));
+    const auto reach2 = static_cast<float>(patch_m * patch_m);
+    std::vector<Eigen::Vector3f> patch = {end};
+    for (Eigen::Index i = 0; i < cosine_.size(); ++i) {
+      if (cosine_[i] < least || i == nearest) continue;
+      if ((points_[i] - end).squaredNorm() <= reach2) patch.push_back(points_[i]);
+    }
+    return Surface{origin_ + range_m * direction, NormalOf(patch)};
   }
-  return Surface{origin + range_m * direction, NormalOf(patch)};
-}
+
+ private:
+  std::span<const Eigen::Vector3f> points_;
+  Eigen::Vector3d origin_;
+  Eigen::MatrixX3f unit_;
+  Eigen::VectorXf cosine_;  // to the ray at hand
+};
 
 }  // namespace
 
 void MarkReflections(const LidarView& lidar, const Eigen::Isometry3d& base_from_array,
                      const std::optional<Eigen::Vector3d>& array_normal,
                      std::vector<acoustics::Peak>& peaks) {
-  if (peaks.size() < 2) return;
+  if (peaks.size() < 2 || lidar.point_in_base.empty()) return;
   const Eigen::Isometry3d reference_from_array =
       lidar.reference_base_from_audio_base * base_from_array;
   const Eigen::Vector3d origin = reference_from_array.translation();
+  View view(lidar.point_in_base, origin);
   std::vector<Eigen::Vector3d> emitters;  // what stronger peaks hear, or their images
   for (acoustics::Peak& peak : peaks) {
     std::vector<Eigen::Vector3d> directions = {peak.direction_in_array};
@@ -117,7 +129,7 @@ void MarkReflections(const LidarView& lidar, const Eigen::Isometry3d& base_from_
     const std::size_t stronger = emitters.size();
     for (const Eigen::Vector3d& in_array : directions) {
       const Eigen::Vector3d direction = reference_from_array.linear() * in_array;
-      const auto surface = SurfaceAlong(lidar.point_in_base, origin, direction);
+      const auto surface = view.Along(direction);
       if (!surface) continue;
       Eigen::Vector3d emitter = surface->point;
       for (std::size_t i = 0; surface->normal && i < stronger; ++i) {
