@@ -85,8 +85,8 @@ class View {
     const Eigen::Vector3f along = direction.cast<float>();
     cosine_.noalias() = unit_ * along;
     Eigen::Index nearest = 0;
-    if (!(cosine_.maxCoeff(&nearest) > static_cast<float>(std::cos(kNearRay_rad))))
-      return std::nullopt;
+    const float cosine = cosine_.maxCoeff(&nearest);
+    if (!(cosine > static_cast<float>(std::cos(kNearRay_rad)))) return std::nullopt;
     const Eigen::Vector3f& end = points_[nearest];
     const double range_m = (end.cast<double>() - origin_).norm();
     const double patch_m = std::max(kPatch_m, kPatchPerRange * range_m);
@@ -134,7 +134,9 @@ void MarkReflections(const LidarView& lidar, const Eigen::Isometry3d& base_from_
       Eigen::Vector3d emitter = surface->point;
       for (std::size_t i = 0; surface->normal && i < stronger; ++i) {
         const double height_m = (emitters[i] - surface->point).dot(*surface->normal);
-        if (std::abs(height_m) < kOnSurface_m) continue;
+        const double array_height_m = (origin - surface->point).dot(*surface->normal);
+        // Both stand before the mirror.
+        if (std::abs(height_m) < kOnSurface_m || height_m * array_height_m < 0.0) continue;
         const Eigen::Vector3d image = emitters[i] - 2.0 * height_m * *surface->normal;
         if ((image - origin).normalized().dot(direction) < kNearImage) continue;
         peak.reflection = true;

@@ -198,7 +198,7 @@ TEST(PeakFinder, FaintPeaksComeFromFaintSourcesAgainAndAgain) {
   constexpr int kScans = 40;
   for (int k = 0; k < kScans; ++k) {
     const auto samples = testing::Record(microphones, 16000, layout.scan_samples(),
-                                         {{strong, 2000.0}, {faint, 300.0}}, 1000.0, random);
+                                         {{strong, 2000.0}, {faint, 420.0}}, 1000.0, random);
     const AudioScan scan = srp->Scan(stft.Analyze(samples));
     const auto near = [](const Peaks& found, const Eigen::Vector3d& direction) {
       return std::any_of(found.peaks.begin(), found.peaks.end(), [&](const Peak& peak) {

@@ -3,7 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/SVD>
-#include <nlohmann/json.hpp>
+#include <cmath>
+#include <numbers>
 
 #include "sources/simulation/free_floor.h"
 #include "sources/simulation/scene.h"
@@ -72,11 +73,12 @@ TEST(FreeFloor, LeadsAroundWhatStandsThere) {
       EXPECT_GE(outside.norm(), 0.4) << point.transpose();  // the radius, less a cell
     }
   }
-  // Two straight lines past the wall's corners, half a metre off.
-  const double shortest_m = 2.0 * std::hypot(2.4, 5.0) + 1.2;
-  EXPECT_GE(length_m, shortest_m - 0.5);
-  EXPECT_LE(length_m, shortest_m + 0.5);
-  EXPECT_EQ(floor.ShortestPath(from, {6.0, 6.0}).size(), path.size());
+  // Two tangents to circles around the wall's corners, their arcs, and the wall's width between.
+  const double tangent_m = std::sqrt(2.9 * 2.9 + 5.0 * 5.0 - 0.25);
+  const double arc_m =
+      0.5 * (std::numbers::pi / 2.0 - std::atan2(2.9, 5.0) + std::asin(0.5 / 5.78));
+  const double shortest_m = 2.0 * tangent_m + 2.0 * arc_m + 0.2;
+  EXPECT_NEAR(length_m, shortest_m, 0.5);
   EXPECT_TRUE(floor.ShortestPath(from, {5.0, 3.0}).empty());
   EXPECT_TRUE(floor.ShortestPath({-1.0, 3.0}, to).empty());
 }
