@@ -135,7 +135,10 @@ class PlainPeaks {
 // beside strong ones.
 TEST(PeakFinder, FindsWhatPlainPeakRemovalFinds) {
   const DirectionGrid grid = DirectionGrid::EqualArea(geometry::RadFromDeg(3.0));
-  const FrameLayout layout = FrameLayout::Create({}, 16000).value();
+  // Directions near the plane of an array are hardly determined in a wider band.
+  AcousticsConfig config;
+  config.f_max_hz = 3000.0;
+  const FrameLayout layout = FrameLayout::Create(config, 16000).value();
   PeakEvidence evidence;
   evidence.faint_spreads = 1e3;
   int peaks = 0;
@@ -213,7 +216,7 @@ TEST(PeakFinder, FaintPeaksComeFromFaintSourcesAgainAndAgain) {
     heard_without += near(without.Find(scan), faint);
   }
   EXPECT_GT(heard, kScans / 4);
-  EXPECT_GT(heard, 2 * heard_without);
+  EXPECT_GT(heard, heard_without + kScans / 8);
   EXPECT_LE(ghosts, kScans / 20);
 }
 
