@@ -72,6 +72,15 @@ AudioScanner::AudioScanner(std::shared_ptr<const Tables> tables)
 
 const geometry::DirectionGrid& AudioScanner::grid() const { return tables_->srp->grid(); }
 
+std::optional<Eigen::Vector3d> AudioScanner::array_normal() const {
+  if (!tables_->finder || tables_->finder->beam().array_rank() != 2) return std::nullopt;
+  return tables_->finder->beam().array_axis();
+}
+
+std::vector<float> AudioScanner::Likelihood(std::span<const Peak> peaks) const {
+  return tables_->finder->Likelihood(peaks);
+}
+
 absl::StatusOr<std::unique_ptr<AudioScanner>> AudioScanner::Create(
     const AcousticsConfig& config, const frames::Calibration& calibration) {
   absl::Status status = calibration.Validate();
@@ -143,29 +152,67 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   LikelihoodScan result;
   result.begin_ns = clock_.TimeOf(first_sample);
   result.end_ns = clock_.TimeOf(first_sample + layout_.scan_samples());
-  result.fault = FaultIn(samples);
+  result.fault = FaultIn(samples, result.dead_microphones);
   if (!result.fault.empty()) return result;
 
-  const PhatSpectra& spectra = stft_.Analyze(
-      {samples, static_cast<std::size_t>(layout_.scan_samples()) * tables_->srp->microphones()});
+  const Tables* tables = tables_.get();
+  Stft* stft = &stft_;
+  if (!result.dead_microphones.empty()) {
+    const int channels = tables_->srp->microphones();
+    Remainder* rest = RemainderWithout(result.dead_microphones);
+    if (rest == nullptr) {
+      result.fault = "the microphones that are not dead cannot tell directions";
+      return result;
+    }
+    rest->samples.clear();
+    for (int s = 0; s < layout_.scan_samples(); ++s) {
+      for (int n = 0; n < channels; ++n, ++samples) {
+        if (!std::binary_search(rest->dead.begin(), rest->dead.end(), n)) {
+          rest->samples.push_back(*samples);
+        }
+      }
+    }
+    samples = rest->samples.data();
+    tables = rest->tables.get();
+    stft = &rest->stft;
+  }
+  const PhatSpectra& spectra = stft->Analyze(
+      {samples, static_cast<std::size_t>(layout_.scan_samples()) * tables->srp->microphones()});
   Done(Step::kSpectra);
-  tables_->srp->Scan(spectra, scan_);
+  tables->srp->Scan(spectra, scan_);
   Done(Step::kPower);
   const AudioScan& scan = scan_;
-  if (const auto* thresholds = std::get_if<DoubleThreshold>(&tables_->config.evidence)) {
+  if (const auto* thresholds = std::get_if<DoubleThreshold>(&tables->config.evidence)) {
     result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
     Done(Step::kEvidence);
     return result;
   }
-  Peaks found = tables_->finder->Find(scan);
-  result.likelihood = tables_->finder->Likelihood(found.peaks);
+  Peaks found = tables->finder->Find(scan);
+  result.likelihood = tables->finder->Likelihood(found.peaks);
   result.noise_floor = found.noise_floor;
   result.peaks = std::move(found.peaks);
   Done(Step::kEvidence);
   return result;
 }
 
-std::string AudioScanner::FaultIn(const std::int16_t* samples) const {
+AudioScanner::Remainder* AudioScanner::RemainderWithout(const std::vector<int>& dead) {
+  if (remainder_ && remainder_->dead == dead) return remainder_.get();
+  frames::Calibration calibration;
+  calibration.audio_sample_rate_hz = layout_.sample_rate_hz;
+  for (int n = 0; n < tables_->srp->microphones(); ++n) {
+    if (!std::binary_search(dead.begin(), dead.end(), n)) {
+      calibration.mic_in_array_m.push_back(tables_->mic_in_array_m[n]);
+    }
+  }
+  auto tables = SharedTables(tables_->config, calibration);
+  if (!tables.ok()) return nullptr;
+  Stft stft((*tables)->layout, (*tables)->srp->microphones());
+  remainder_ = std::make_unique<Remainder>(
+      Remainder{dead, *std::move(tables), std::move(stft), std::vector<std::int16_t>()});
+  return remainder_.get();
+}
+
+std::string AudioScanner::FaultIn(const std::int16_t* samples, std::vector<int>& dead) const {
   const int channels = tables_->srp->microphones();
   const int count = layout_.scan_samples();
   // A microphone that stands still for a hop does so from the start of some half hop to its end.
@@ -199,6 +246,14 @@ std::string AudioScanner::FaultIn(const std::int16_t* samples) const {
         return length >= layout_.hop_samples();
       }));
   if (still == 0) return {};
+  for (int n = 0; n < channels; ++n) {
+    if (longest[n] == count) dead.push_back(n);
+  }
+  const int alive = channels - static_cast<int>(dead.size());
+  if (tables_->finder && static_cast<int>(dead.size()) == still && 4 * alive >= 3 * channels) {
+    return {};
+  }
+  dead.clear();
   if (still == channels) return absl::StrCat("all ", channels, " microphones stand still");
   const int worst =
       static_cast<int>(std::max_element(longest.begin(), longest.end()) - longest.begin());

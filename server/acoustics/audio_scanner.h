@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -43,11 +44,12 @@ class AudioScanner {
 
   // The scans that this block completes, in time order. A block that starts more than 20 ms after
   // the end of the last one follows a gap: framing starts anew with it, and a scan with a fault
-  // tells what was left over. A scan in which a microphone stands still for W/2 samples or more
-  // (dead, or dropped samples) has a fault too. InvalidArgument, and no change: another sample rate
-  // or number of channels than the calibration's, samples that do not fill the channels, a block
-  // that starts more than 20 ms before the end of the last one or before its stamp, a stamp outside
-  // 1970 .. 2116.
+  // tells what was left over. A microphone that stands still for the whole scan is dead and is done
+  // without, while three quarters of them remain; a scan in which one stands still for W/2 samples
+  // or more (dropped samples, too many dead) has a fault. InvalidArgument, and no change: another
+  // sample rate or number of channels than the calibration's, samples that do not fill the
+  // channels, a block that starts more than 20 ms before the end of the last one or before its
+  // stamp, a stamp outside 1970 .. 2116.
   absl::StatusOr<std::vector<LikelihoodScan>> Push(const frames::AudioBlock& block);
 
   // Of the work on one scan, in their order.
@@ -58,6 +60,12 @@ class AudioScanner {
   State state() const;
   // InvalidArgument, and no change: a state that no scanner with this configuration can have had.
   absl::Status Restore(State state);
+
+  // The likelihoods of a scan again, once more is known of its peaks (PeakEvidence alone).
+  std::vector<float> Likelihood(std::span<const Peak> peaks) const;
+
+  // Of microphones in a plane, with PeakEvidence.
+  std::optional<Eigen::Vector3d> array_normal() const;
 
   const geometry::DirectionGrid& grid() const;
   const FrameLayout& layout() const { return layout_; }
@@ -70,9 +78,19 @@ class AudioScanner {
   static absl::StatusOr<std::shared_ptr<const Tables>> SharedTables(
       const AcousticsConfig& config, const frames::Calibration& calibration);
 
+  // The scanner of what is left of the array.
+  struct Remainder {
+    std::vector<int> dead;
+    std::shared_ptr<const Tables> tables;
+    Stft stft;
+    std::vector<std::int16_t> samples;
+  };
+  Remainder* RemainderWithout(const std::vector<int>& dead);
+
   explicit AudioScanner(std::shared_ptr<const Tables> tables);
   LikelihoodScan Scan(const std::int16_t* samples, std::int64_t first_sample);
-  std::string FaultIn(const std::int16_t* samples) const;
+  // A sentence, or the microphones to do without.
+  std::string FaultIn(const std::int16_t* samples, std::vector<int>& dead) const;
   void Done(Step step) const {
     if (step_done_) step_done_(step);
   }
@@ -80,7 +98,8 @@ class AudioScanner {
   std::shared_ptr<const Tables> tables_;
   FrameLayout layout_;
   Stft stft_;
-  AudioScan scan_;  // keeps its memory from scan to scan
+  AudioScan scan_;                        // keeps its memory from scan to scan
+  std::unique_ptr<Remainder> remainder_;  // that the last scan with dead microphones needed
   AudioClock clock_;
   frames::TimeNs last_stamp_ns_ = 0;
   std::int64_t next_sample_ = 0;

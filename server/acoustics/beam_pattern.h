@@ -60,6 +60,8 @@ class BeamPattern {
 
   // 1: the microphones lie in a line, 2: in a plane, 3: in space.
   int array_rank() const { return array_rank_; }
+  // Of a line; normal of a plane.
+  const Eigen::Vector3d& array_axis() const { return array_axis_; }
 
  private:
   // Microphone pairs with one difference vector.
@@ -83,7 +85,7 @@ class BeamPattern {
   int microphones_;
   std::vector<PairGroup> groups_;
   int array_rank_ = 3;
-  Eigen::Vector3d array_axis_ = Eigen::Vector3d::UnitZ();  // of a line; normal of a plane
+  Eigen::Vector3d array_axis_ = Eigen::Vector3d::UnitZ();
   double resolution_rad_ = 0.0;
 
   std::vector<float> band_;  // BandSum(), by delay

@@ -58,6 +58,9 @@ struct EvidenceCheck {
     status.Update(CheckRange("threshold_spreads", evidence.threshold_spreads, 0.0, 1e3));
     status.Update(CheckRange("threshold_incoherent_spreads", evidence.threshold_incoherent_spreads,
                              0.0, 1e3));
+    status.Update(CheckRange("faint_spreads", evidence.faint_spreads, 0.0, 1e3));
+    status.Update(
+        CheckRange("faint_incoherent_spreads", evidence.faint_incoherent_spreads, 0.0, 1e3));
     status.Update(CheckRange("max_peaks", evidence.max_peaks, 0, 100));
     status.Update(CheckRange("peak_radius_rad", evidence.peak_radius_rad, 0.0, kPi));
     status.Update(CheckRange("undecided_radius_rad", evidence.undecided_radius_rad,
@@ -74,6 +77,7 @@ struct EvidenceCheck {
 AcousticsConfig AcousticsConfig::Paper() {
   AcousticsConfig config;
   config.window_samples = 400;
+  config.f_max_hz = 3000.0;
   config.grid = SectorGrid{};
   config.evidence = DoubleThreshold{};
   return config;

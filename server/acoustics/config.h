@@ -50,6 +50,10 @@ struct DoubleThreshold {
 struct PeakEvidence {
   double threshold_spreads = 6.5;             // a peak stands this many spreads above the floor
   double threshold_incoherent_spreads = 5.0;  // and this many incoherent spreads
+  // When no such peak is left, local maxima that stand less high count, too: each says little, but
+  // those of a faint source come again from the same place, and those of noise do not.
+  double faint_spreads = 4.0;
+  double faint_incoherent_spreads = 4.0;
   int max_peaks = 10;
   double peak_radius_rad = geometry::RadFromDeg(3.0);
   double undecided_radius_rad = geometry::RadFromDeg(10.0);
@@ -70,7 +74,9 @@ struct AcousticsConfig {
   std::optional<int> window_samples;  // W itself, at any rate, in place of window_s; even
   int frames_per_scan = 10;           // K
   double f_min_hz = 1000.0;           // eq. (5), inclusive
-  double f_max_hz = 3000.0;           // eq. (5), inclusive
+  // Section VI has 3000 Hz. Up to 4000 Hz a beam is narrower, and more of what hisses is heard;
+  // every sample rate has that much.
+  double f_max_hz = 4000.0;  // eq. (5), inclusive
   double speed_of_sound_mps = 343.0;
   std::variant<EqualAreaGrid, SectorGrid> grid;
   std::variant<PeakEvidence, DoubleThreshold> evidence;

@@ -11,7 +11,8 @@ namespace soundmap::acoustics {
 // A local maximum of the power of one audio scan.
 struct Peak {
   Eigen::Vector3d direction_in_array = Eigen::Vector3d::UnitX();  // unit vector, array to source
-  double power = 0.0;  // S of eq. (5), less the responses of the peaks found before
+  double power = 0.0;       // S of eq. (5), less the responses of the peaks found before
+  bool reflection = false;  // the mirror image of a stronger peak's source: no evidence
 };
 
 // The result of section IV for one audio scan: the likelihood of a sound source in each candidate
@@ -22,6 +23,8 @@ struct LikelihoodScan {
   // Empty: usable. Otherwise why this scan says nothing (a dead microphone, a gap), and
   // `likelihood` is empty.
   std::string fault;
+  // Microphones that are dead and were done without, in channel order.
+  std::vector<int> dead_microphones;
   std::vector<float> likelihood;  // L(theta_i, phi_i, k), in the order of the grid
   double noise_floor = 0.0;       // of S; 0 where the profile does not estimate it
   std::vector<Peak> peaks;        // strongest first

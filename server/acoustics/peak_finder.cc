@@ -89,23 +89,63 @@ PeakFinder::Maximum PeakFinder::Largest(const AudioScan& scan, std::span<const R
   Maximum largest{*at_centre, cells_.centres()[at_centre - residual.begin()]};
   const auto worth_a_look =
       static_cast<float>(floor + kLeastAtCentre * std::max(*at_centre - floor, least_height));
-  std::vector<float> power;
   for (int cell = 0; cell < cells_.size(); ++cell) {
     if (residual[cell] < worth_a_look) continue;
-    const int begin = cells_.begin(cell);
-    const int count = cells_.begin(cell + 1) - begin;
-    const std::span<const int> members = cells_.members().subspan(begin, count);
-    power.resize(count);
-    for (int m = 0; m < count; ++m) power[m] = scan.power[members[m]];
-    for (const Removed& wave : removed) {
-      beam_.AddResponse(wave.source, static_cast<float>(-wave.gain),
-                        static_cast<float>(beam_.Incoherent()), members_, begin, power);
-    }
-    for (int m = 0; m < count; ++m) {
-      if (power[m] > largest.power) largest = {power[m], members[m]};
-    }
+    const Maximum of_cell = LargestOf(scan, removed, cell);
+    if (of_cell.power > largest.power) largest = of_cell;
   }
   return largest;
+}
+
+PeakFinder::Maximum PeakFinder::LargestOf(const AudioScan& scan, std::span<const Removed> removed,
+                                          int cell) const {
+  const int begin = cells_.begin(cell);
+  const int count = cells_.begin(cell + 1) - begin;
+  const std::span<const int> members = cells_.members().subspan(begin, count);
+  std::vector<float> power(count);
+  for (int m = 0; m < count; ++m) power[m] = scan.power[members[m]];
+  for (const Removed& wave : removed) {
+    beam_.AddResponse(wave.source, static_cast<float>(-wave.gain),
+                      static_cast<float>(beam_.Incoherent()), members_, begin, power);
+  }
+  const auto largest = std::max_element(power.begin(), power.end());
+  return {*largest, members[largest - power.begin()]};
+}
+
+Eigen::Vector3d PeakFinder::Reported(const Eigen::Vector3d& direction) const {
+  if (beam_.array_rank() != 2) return direction;
+  const Eigen::Vector3d image = beam_.Distinguishable(direction);
+  return Covers(image) ? image : direction;
+}
+
+void PeakFinder::AddFaint(const AudioScan& scan, std::span<const Removed> removed,
+                          std::span<const float> residual, const Background& background,
+                          Peaks& found) const {
+  const auto least = static_cast<float>(
+      background.floor + std::max(evidence_.faint_spreads * background.spread,
+                                  evidence_.faint_incoherent_spreads * beam_.IncoherentSpread()));
+  std::vector<int> cells;
+  for (int cell = 0; cell < cells_.size(); ++cell) {
+    if (residual[cell] > least) cells.push_back(cell);
+  }
+  std::stable_sort(cells.begin(), cells.end(),
+                   [&](int a, int b) { return residual[a] > residual[b]; });
+  // What is left near a peak belongs to it.
+  const double near = std::cos(evidence_.undecided_radius_rad);
+  const geometry::DirectionGrid& grid = srp_->grid();
+  std::vector<Eigen::Vector3d> taken;
+  for (const Removed& wave : removed) taken.push_back(beam_.Distinguishable(wave.source));
+  for (const int cell : cells) {
+    if (static_cast<int>(taken.size()) >= evidence_.max_peaks) return;
+    const Eigen::Vector3d centre = beam_.Distinguishable(grid[cells_.centres()[cell]]);
+    if (std::any_of(taken.begin(), taken.end(),
+                    [&](const Eigen::Vector3d& peak) { return peak.dot(centre) > near; })) {
+      continue;
+    }
+    taken.push_back(centre);
+    const Maximum largest = LargestOf(scan, removed, cell);
+    found.peaks.push_back({Reported(grid[largest.direction]), largest.power});
+  }
 }
 
 PeakFinder::Background PeakFinder::BackgroundOf(std::span<const float> residual) const {
@@ -173,14 +213,9 @@ Peaks PeakFinder::Find(const AudioScan& scan) const {
     removed.push_back({direction, gain});
     const bool moved_off = start.dot(direction) < std::cos(grid.spacing_rad());
     if (moved_off && !Covers(direction)) continue;
-    if (beam_.array_rank() == 2) {
-      // Both images are equally true; one side is reported, so that a source does not jump between
-      // them.
-      const Eigen::Vector3d image = beam_.Distinguishable(direction);
-      if (Covers(image)) direction = image;
-    }
-    found.peaks.push_back({direction, power});
+    found.peaks.push_back({Reported(direction), power});
   }
+  AddFaint(scan, removed, residual, background, found);
   found.noise_floor = background.floor;
   found.spread = background.spread;
   std::stable_sort(found.peaks.begin(), found.peaks.end(),
@@ -191,9 +226,10 @@ Peaks PeakFinder::Find(const AudioScan& scan) const {
 std::vector<float> PeakFinder::Likelihood(std::span<const Peak> peaks) const {
   const geometry::DirectionGrid& grid = srp_->grid();
   std::vector<float> likelihood(grid.size(), static_cast<float>(evidence_.p_rest));
-  const auto tell = [&](double radius_rad, double value) {
+  const auto tell = [&](double radius_rad, double value, bool reflections) {
     const double near = std::cos(radius_rad);
     for (const Peak& peak : peaks) {
+      if (peak.reflection && !reflections) continue;
       const Eigen::Vector3d image = beam_.Distinguishable(peak.direction_in_array);
       const auto tell_one = [&](int i) {
         if (image.dot(beam_.Distinguishable(grid[i])) >= near) {
@@ -210,8 +246,8 @@ std::vector<float> PeakFinder::Likelihood(std::span<const Peak> peaks) const {
       }
     }
   };
-  tell(evidence_.undecided_radius_rad, evidence_.p_undecided);
-  tell(evidence_.peak_radius_rad, evidence_.p_peak);
+  tell(evidence_.undecided_radius_rad, evidence_.p_undecided, /*reflections=*/true);
+  tell(evidence_.peak_radius_rad, evidence_.p_peak, /*reflections=*/false);
   return likelihood;
 }
 

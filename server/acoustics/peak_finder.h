@@ -23,7 +23,7 @@ struct Peaks {
 // Peak removal with the known beam: the largest power above the threshold is a source; a plane
 // wave's response from there, scaled to bring it down to the noise floor, is taken off; and so on.
 // Directions are refined between those of the grid. A source outside the grid is taken off, but not
-// reported.
+// reported. Then the local maxima that stand less high, which need not be taken off.
 //
 // The power is kept up to date in the centres of cells alone, which are closer than the array
 // resolves; the rest of the grid is looked at where a maximum can be. Immutable; any number of
@@ -38,7 +38,7 @@ class PeakFinder {
   Peaks Find(const AudioScan& scan) const;
 
   // The likelihood of every direction of the grid. Directions that the array cannot tell from a
-  // peak count as that peak.
+  // peak count as that peak; those of a reflection are undecided.
   std::vector<float> Likelihood(std::span<const Peak> peaks) const;
 
   const BeamPattern& beam() const { return beam_; }
@@ -67,6 +67,12 @@ class PeakFinder {
   // The largest residual of the grid, if it may be more than `least_height` above `floor`.
   Maximum Largest(const AudioScan& scan, std::span<const Removed> removed,
                   std::span<const float> residual, double floor, double least_height) const;
+  // The largest residual of the grid in one cell.
+  Maximum LargestOf(const AudioScan& scan, std::span<const Removed> removed, int cell) const;
+  void AddFaint(const AudioScan& scan, std::span<const Removed> removed,
+                std::span<const float> residual, const Background& background, Peaks& found) const;
+  // Of several directions that the array cannot tell apart always the same one.
+  Eigen::Vector3d Reported(const Eigen::Vector3d& direction) const;
   Background BackgroundOf(std::span<const float> residual) const;
   bool Covers(const Eigen::Vector3d& direction) const;
 

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "pipeline/serialization.h"
+#include "ray_casting/reflections.h"
 
 namespace boost::serialization {
 
@@ -104,8 +105,8 @@ void serialize(Archive& archive, soundmap::localization::LocalizerState& state, 
 template <class Archive>
 void serialize(Archive& archive, soundmap::pipeline::Listening::Counters& counters, unsigned) {
   archive& counters.audio_scans& counters.backward_odometry& counters.backward_lidar& counters
-      .faulty_audio_scans& counters.refused_audio& counters.scans_without_range& counters
-      .scans_without_pose& counters.unheard_ns;
+      .dead_microphone_scans& counters.faulty_audio_scans& counters.refused_audio& counters
+      .scans_without_range& counters.scans_without_pose& counters.unheard_ns;
 }
 
 }  // namespace boost::serialization
@@ -280,6 +281,7 @@ void Listening::State::Hear(const frames::AudioBlock& block) {
   }
   for (acoustics::LikelihoodScan& scan : *scans) {
     if (scan.fault.empty()) {
+      if (!scan.dead_microphones.empty()) ++counters.dead_microphone_scans;
       pending_scans.push_back(std::move(scan));
     } else {
       ++counters.faulty_audio_scans;
@@ -378,6 +380,14 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   view.point_in_base = view_point_in_base;
   view.reference_base_from_audio_base =
       (odom_from_reference_base->Inverse() * *odom_from_audio_base).ToIsometry();
+  if (std::holds_alternative<acoustics::PeakEvidence>(profile.acoustics.evidence)) {
+    ray_casting::MarkReflections(view, calibration.base_from_array, scanner->array_normal(),
+                                 scan.peaks);
+    if (std::any_of(scan.peaks.begin(), scan.peaks.end(),
+                    [](const acoustics::Peak& peak) { return peak.reflection; })) {
+      scan.likelihood = scanner->Likelihood(scan.peaks);
+    }
+  }
   auto evidence = caster->Cast(scan, view, *pose);
   Lap(Stage::kCast);
   if (!evidence.ok() || evidence->end_points.empty()) {
@@ -399,6 +409,7 @@ std::vector<std::string> Listening::Warnings() const {
       {localization.scans_empty, " laser scan(s) had too few valid beams"},
       {counters.backward_lidar, " LIDAR scan(s) ran backwards in time and were left out"},
       {counters.refused_audio, " audio block(s) did not fit the ones before and were left out"},
+      {counters.dead_microphone_scans, " audio scan(s) did without a dead microphone"},
       {counters.faulty_audio_scans,
        " audio scan(s) had a dead microphone or lost samples and were left out"},
       {counters.scans_without_pose,

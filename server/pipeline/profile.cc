@@ -193,6 +193,8 @@ void VisitAcoustics(Visitor& v, acoustics::AcousticsConfig& c) {
   if (auto* peaks = std::get_if<acoustics::PeakEvidence>(&c.evidence)) {
     v("threshold_spreads", peaks->threshold_spreads);
     v("threshold_incoherent_spreads", peaks->threshold_incoherent_spreads);
+    v("faint_spreads", peaks->faint_spreads);
+    v("faint_incoherent_spreads", peaks->faint_incoherent_spreads);
     v("max_peaks", peaks->max_peaks);
     v.Angle("peak_radius_deg", peaks->peak_radius_rad);
     v.Angle("undecided_radius_deg", peaks->undecided_radius_rad);
@@ -324,8 +326,8 @@ void VisitSoundMap(Visitor& v, sound_map::SoundMapConfig& c) {
   v("max_iterations", c.sources.max_iterations);
   v("smoothing_sigma_m", c.sources.smoothing_sigma_m);
   v("background_share", c.sources.background_share);
-  v("repetition", c.sources.repetition);
-  v("prior_log_odds", c.sources.prior_log_odds);
+  v("even_evidence", c.sources.even_evidence);
+  v("evidence_power", c.sources.evidence_power);
   v("separation_m", c.sources.separation_m);
   v("masking_radius_m", c.sources.masking_radius_m);
   v("masking_share", c.sources.masking_share);

@@ -39,10 +39,11 @@ absl::Status SoundSourceConfig::Validate() const {
   if (!IsIn(background_share, 1e-6, 0.999)) {
     return Wrong("background_share", background_share, "must be 0.000001 to 0.999");
   }
-  if (!IsIn(repetition, 0.01, 1e6))
-    return Wrong("repetition", repetition, "must be 0.01 to 1000000");
-  if (!IsIn(prior_log_odds, -1e3, 1e3)) {
-    return Wrong("prior_log_odds", prior_log_odds, "must be -1000 to 1000");
+  if (!IsIn(even_evidence, 1e-3, 1e6)) {
+    return Wrong("even_evidence", even_evidence, "must be 0.001 to 1000000");
+  }
+  if (!IsIn(evidence_power, 0.1, 100.0)) {
+    return Wrong("evidence_power", evidence_power, "must be 0.1 to 100");
   }
   if (!IsIn(masking_radius_m, 1e-3, 100.0)) {
     return Wrong("masking_radius_m", masking_radius_m, "must be 0.001 to 100");

@@ -34,11 +34,13 @@ struct SoundSourceConfig {
   double smoothing_sigma_m =
       0.10;  // Gaussian over which observations around a voxel are counted together
   double background_share =
-      0.05;  // of the observations of a place without a source support one all the same
-  double repetition =
-      4.0;  // end points of one scan that repeat one observation within the Gaussian
-  double prior_log_odds = -5.0;  // of a source, before any observation
-  double separation_m = 0.50;    // two sources are at least this far apart
+      0.02;  // of the observations of a place without a source support one all the same
+  // Ghosts are no chance: they come again from the same place, some many times. So the odds that a
+  // place is a source grow with a power of its evidence, the log-likelihood ratio against the
+  // background, and are even at this evidence. Both from 24 simulated rooms.
+  double even_evidence = 45.0;
+  double evidence_power = 2.0;
+  double separation_m = 0.50;  // two sources are at least this far apart
   double masking_radius_m =
       1.2;  // nearer than this to a source, smears and reflections of it are expected:
   double masking_share =

@@ -154,15 +154,18 @@ class Core {
   Eigen::Vector3d position_in_map_m;
 };
 
-// Log-odds over the background, without the prior; none where the share does not exceed it.
+// The log-likelihood ratio against the background; none where the share does not exceed it.
 std::optional<double> Evidence(const SupportField::Counts& counts,
                                const SoundSourceConfig& config) {
   const double share = std::min(counts.supporting / counts.all, 1.0 - 1e-9);
   if (!(share > config.background_share)) return std::nullopt;
-  return (counts.supporting * std::log(share / config.background_share) +
-          (counts.all - counts.supporting) *
-              std::log((1.0 - share) / (1.0 - config.background_share))) /
-         config.repetition;
+  return counts.supporting * std::log(share / config.background_share) +
+         (counts.all - counts.supporting) *
+             std::log((1.0 - share) / (1.0 - config.background_share));
+}
+
+double ProbabilityOf(double evidence, const SoundSourceConfig& config) {
+  return 1.0 / (1.0 + std::pow(config.even_evidence / evidence, config.evidence_power));
 }
 
 std::vector<SoundSource> FindBySmoothPeaks(const Snapshot& snapshot,
@@ -177,11 +180,11 @@ std::vector<SoundSource> FindBySmoothPeaks(const Snapshot& snapshot,
     double evidence;
   };
   std::vector<Candidate> candidates;
-  field.ForEachCount(config.smoothing_sigma_m,
+  field.ForEachCount(config.smoothing_sigma_m, config.background_share,
                      [&](const ObservedVoxel& voxel, const SupportField::Counts& counts) {
                        const auto evidence = Evidence(counts, config);
-                       // What cannot come to a probability of 1 % is no candidate.
-                       if (!evidence || *evidence + config.prior_log_odds < -4.6) return;
+                       constexpr double kLeast = 0.01;
+                       if (!evidence || ProbabilityOf(*evidence, config) < kLeast) return;
                        candidates.push_back({CentreOf(voxel, field.voxel_size_m()), *evidence});
                      });
   std::stable_sort(candidates.begin(), candidates.end(),
@@ -212,7 +215,7 @@ std::vector<SoundSource> FindBySmoothPeaks(const Snapshot& snapshot,
     }
     SoundSource source;
     source.position_in_map_m = core.position_in_map_m;
-    source.probability = ProbabilityFromLogOdds(config.prior_log_odds + candidate.evidence);
+    source.probability = ProbabilityOf(candidate.evidence, config);
     Describe(core.voxels, core.weights, field.voxel_size_m(), source);
     if (source.evidence_count >= config.min_evidence) sources.push_back(source);
   }

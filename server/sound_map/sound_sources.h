@@ -29,10 +29,11 @@ struct SoundSource {
 // snapshot's voxels. The configuration must be valid. kKMeans is section VI: a source is the centre
 // of a cluster of voxels with L > 0, as probable as its voxel of the largest L. kSmoothPeak
 // deviates: L alone tells a weak source beside louder ones, which is not heard in most scans, from
-// a ghost of a loud one badly. Around a voxel with L > 0, s of n observations, weighted by a
-// Gaussian, supported a source. With r = s / n the log-odds are
-//   prior + (s log(r / r0) + (n - s) log((1 - r) / (1 - r0))) / repetition,
-// a source that is heard in the share r of the scans against the background r0. Maxima are sources
+// a ghost of a loud one badly. Around a voxel, s of n observations, weighted by a Gaussian,
+// supported a source. With r = s / n the evidence is
+//   e = s log(r / r0) + (n - s) log((1 - r) / (1 - r0)),
+// a source that is heard in the share r of the scans against the background r0, and the odds
+// are (e / e_even)^power. Maxima are sources
 // unless a stronger one masks them. The position is the mean of the voxels around, each with the
 // weight support^2 / update_count.
 std::vector<SoundSource> FindSoundSources(const Snapshot& snapshot,

@@ -73,7 +73,8 @@ std::vector<const ObservedVoxel*> SupportField::Around(const Eigen::Vector3d& po
 }
 
 void SupportField::ForEachCount(
-    double sigma_m, absl::FunctionRef<void(const ObservedVoxel&, const Counts&)> visit) const {
+    double sigma_m, double min_share,
+    absl::FunctionRef<void(const ObservedVoxel&, const Counts&)> visit) const {
   const double sigma = sigma_m / voxel_size_m();
   const int radius = static_cast<int>(std::ceil(2.5 * sigma));
   std::vector<float> kernel(radius + 1);
@@ -85,13 +86,15 @@ void SupportField::ForEachCount(
     float all;
     float supporting;
   };
+  const auto stands_out = [min_share](const ObservedVoxel& voxel) {
+    return voxel.support.count > 1 && voxel.support.count > min_share * voxel.fields.update_count;
+  };
   std::vector<Neighbour> neighbours;
   const int count = static_cast<int>(voxels_.size());
   for (int begin = 0, end = 0; begin < count; begin = end) {
     const Range block = blocks_.find(BlockKeyOf(voxels_[begin].key))->second;
     end = block.end;
-    if (std::none_of(voxels_.begin() + begin, voxels_.begin() + end,
-                     [](const ObservedVoxel& voxel) { return voxel.fields.log_odds > 0.0f; })) {
+    if (std::none_of(voxels_.begin() + begin, voxels_.begin() + end, stands_out)) {
       continue;
     }
     // All that the Gaussians of this block's voxels reach: first every voxel's observations, then
@@ -120,7 +123,7 @@ void SupportField::ForEachCount(
     }
     for (int i = begin; i < end; ++i) {
       const ObservedVoxel& voxel = voxels_[i];
-      if (voxel.fields.log_odds <= 0.0f) continue;
+      if (!stands_out(voxel)) continue;
       Counts counts;
       for (const Neighbour& neighbour : neighbours) {
         const int dx = std::abs(neighbour.x - voxel.key.x);

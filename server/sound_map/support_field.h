@@ -38,8 +38,8 @@ class SupportField {
     double supporting = 0.0;
     double all = 0.0;
   };
-  // For each supported voxel with L > 0.
-  void ForEachCount(double sigma_m,
+  // For each voxel that more than `min_share` of its own observations supported, and more than one.
+  void ForEachCount(double sigma_m, double min_share,
                     absl::FunctionRef<void(const ObservedVoxel&, const Counts&)> visit) const;
 
  private:

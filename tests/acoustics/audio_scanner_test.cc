@@ -205,9 +205,14 @@ TEST(AudioScanner, AMicrophoneThatStandsStillMakesAFault) {
   const auto sound = Sound(2200);
   EXPECT_EQ(fault(sound).fault, "");
 
+  // Of four, one can be done without.
   auto dead = sound;
   for (int s = 0; s < 2200; ++s) dead[4 * s + 2] = 0;
-  EXPECT_EQ(fault(dead).fault, "mic_2 dead: constant signal");
+  EXPECT_EQ(fault(dead).fault, "");
+  EXPECT_EQ(fault(dead).dead_microphones, std::vector<int>{2});
+  for (int s = 0; s < 2200; ++s) dead[4 * s + 1] = 0;
+  EXPECT_EQ(fault(dead).fault, "mic_1 and 1 more dead: constant signal");
+  EXPECT_TRUE(fault(dead).dead_microphones.empty());
   EXPECT_TRUE(fault(dead).likelihood.empty());
   EXPECT_TRUE(fault(dead).peaks.empty());
 
@@ -219,6 +224,31 @@ TEST(AudioScanner, AMicrophoneThatStandsStillMakesAFault) {
   EXPECT_EQ(fault(briefly).fault, "");
 
   EXPECT_EQ(fault(std::vector<std::int16_t>(2200 * 4)).fault, "all 4 microphones stand still");
+}
+
+// As if the array had never had it.
+TEST(AudioScanner, ADeadMicrophoneIsDoneWithout) {
+  auto sound = Sound(4400);
+  std::vector<std::int16_t> others;
+  for (int s = 0; s < 4400; ++s) {
+    sound[4 * s + 1] = 5;
+    for (const int n : {0, 2, 3}) others.push_back(sound[4 * s + n]);
+  }
+  const auto with_dead = MakeScanner()->Push(Block(sound, 0, 4400)).value();
+  auto three = FourMicrophones();
+  three.erase(three.begin() + 1);
+  const auto scanner = AudioScanner::Create(Coarse(), CalibrationOf(three, kRate_hz)).value();
+  frames::AudioBlock block = Block(sound, 0, 4400);
+  block.channels = 3;
+  block.samples = others;
+  const auto expected = scanner->Push(block).value();
+  ASSERT_EQ(with_dead.size(), 2u);
+  ASSERT_EQ(expected.size(), 2u);
+  for (int k = 0; k < 2; ++k) {
+    EXPECT_EQ(with_dead[k].likelihood, expected[k].likelihood);
+    EXPECT_EQ(with_dead[k].noise_floor, expected[k].noise_floor);
+    EXPECT_EQ(with_dead[k].peaks.size(), expected[k].peaks.size());
+  }
 }
 
 TEST(AudioScanner, EveryNumberIsFinite) {

@@ -31,9 +31,9 @@ TEST(AcousticsConfig, PaperKeepsItsWindowInSamplesAndDefaultInSeconds) {
     const FrameLayout layout = FrameLayout::Create(AcousticsConfig::Default(), rate_hz).value();
     EXPECT_EQ(layout.window_samples % 2, 0) << rate_hz;
     EXPECT_NEAR(layout.window_samples / static_cast<double>(rate_hz), 0.025, 1.0 / rate_hz);
-    EXPECT_NEAR(layout.bins, 51, 1) << rate_hz;
+    EXPECT_NEAR(layout.bins, 76, 1) << rate_hz;
     EXPECT_GE(layout.bin_hz(0), 1000.0 - 1e-6);
-    EXPECT_LE(layout.bin_hz(layout.bins - 1), 3000.0 + 1e-6);
+    EXPECT_LE(layout.bin_hz(layout.bins - 1), 4000.0 + 1e-6);
   }
 }
 

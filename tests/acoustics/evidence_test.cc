@@ -18,6 +18,13 @@ using testing::kSpeedOfSound_mps;
 using testing::Microphones;
 using testing::PlaneWave;
 
+// The peaks that one scan is sure of.
+PeakEvidence Certain() {
+  PeakEvidence evidence;
+  evidence.faint_spreads = 1e3;
+  return evidence;
+}
+
 class Listener {
  public:
   explicit Listener(const Microphones& microphones,
@@ -26,7 +33,7 @@ class Listener {
       : microphones_(microphones),
         layout_(FrameLayout::Create({}, sample_rate_hz).value()),
         srp_(SrpPhat::Create(layout_, kSpeedOfSound_mps, microphones, grid).value()),
-        finder_(PeakEvidence{}, layout_, kSpeedOfSound_mps, microphones, srp_),
+        finder_(Certain(), layout_, kSpeedOfSound_mps, microphones, srp_),
         stft_(layout_, static_cast<int>(microphones.size())) {}
 
   Peaks Hear(const std::vector<PlaneWave>& waves, double noise_rms, std::mt19937_64& random) {

@@ -338,7 +338,16 @@ TEST(SoundField, TheRobotsOwnNoiseTravelsWithIt) {
   text["audio"]["robot_noise"] = 0.2;
   text["path"] = {{"way_points", {{1, 2}, {7, 2}}}, {"closed", false}, {"speed_mps", 1.0}};
   // From (-0.1, 0, 0.2) to the microphone at (0, 0, 1.2) of the base.
-  EXPECT_NEAR(Rms(Listen(Parse(text), 6.0)[0]), 0.2 / std::hypot(0.1, 1.0), 0.02);
+  const double direct = Rms(Listen(Parse(text), 6.0)[0]);
+  EXPECT_NEAR(direct, 0.2 / std::hypot(0.1, 1.0), 0.02);
+  // The diffuse field of a source has 16 pi / A against 1 / r^2, with the absorption A by Eyring.
+  text["reverberation"] = {{"rt60_s", 0.5}, {"image_order", 2}};
+  const Scene room = Parse(text);
+  const double volume_m3 = room.room_m.prod();
+  const double absorption_m2 = 0.161 * volume_m3 / 0.5;
+  const double diffuse = 0.2 * std::sqrt(16.0 * std::numbers::pi / absorption_m2);
+  EXPECT_NEAR(Rms(Listen(room, 6.0)[0]), std::hypot(direct, diffuse), 0.25 * direct);
+  EXPECT_GT(Rms(Listen(room, 6.0)[0]), 1.1 * direct);
 }
 
 }  // namespace

@@ -493,7 +493,8 @@ void SoundFieldImpl::AddFrame(std::int64_t middle) {
   if (robot_sound_) {
     for (const auto& image :
          RoomImages(scene_.room_m, scene_.reverberation, map_from_base * kRobotNoiseInBase,
-                    scene_.reverberation.image_order, std::numeric_limits<double>::max())) {
+                    scene_.reverberation.image_order,
+                    (scene_.reverberation.image_order + 2) * scene_.room_m.norm())) {
       add_point(image.position_m, image.gain, static_cast<int>(histories_.size()) - 1);
     }
   }

@@ -1,0 +1,118 @@
+#include "ray_casting/reflections.h"
+
+#include <gtest/gtest.h>
+
+#include <random>
+
+namespace soundmap::ray_casting {
+namespace {
+
+// A room of 8 x 6 x 3 m with the array somewhere in it; LIDAR points with noise on all its walls.
+const Eigen::Vector3d kMin(-3.0, -2.5, -1.2), kMax(5.0, 3.5, 1.8);
+
+class ReflectionsTest : public ::testing::Test {
+ protected:
+  ReflectionsTest() {
+    std::mt19937 random(3);
+    std::normal_distribution<float> noise(0.0f, 0.015f);
+    for (int axis = 0; axis < 3; ++axis) {
+      const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+      for (double a = kMin[u]; a <= kMax[u]; a += 0.1) {
+        for (double b = kMin[v]; b <= kMax[v]; b += 0.1) {
+          for (const double wall : {kMin[axis], kMax[axis]}) {
+            Eigen::Vector3f point;
+            point[axis] = static_cast<float>(wall) + noise(random);
+            point[u] = static_cast<float>(a);
+            point[v] = static_cast<float>(b);
+            points_.push_back(point);
+          }
+        }
+      }
+    }
+    base_from_array_ = Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized());
+  }
+
+  void Hear(const Eigen::Vector3d& place_in_base) {
+    const Eigen::Vector3d in_array = base_from_array_.inverse() * place_in_base;
+    peaks_.push_back({in_array.normalized(), 20.0 - static_cast<double>(peaks_.size())});
+  }
+  std::vector<bool> Marked() {
+    LidarView view;
+    view.point_in_base = points_;
+    MarkReflections(view, base_from_array_, array_normal_, peaks_);
+    std::vector<bool> marked;
+    for (const acoustics::Peak& peak : peaks_) marked.push_back(peak.reflection);
+    return marked;
+  }
+
+  std::vector<Eigen::Vector3f> points_;
+  Eigen::Isometry3d base_from_array_ = Eigen::Isometry3d::Identity();
+  std::optional<Eigen::Vector3d> array_normal_;
+  std::vector<acoustics::Peak> peaks_;
+};
+
+// The mirror image in a wall of the axis.
+Eigen::Vector3d Image(Eigen::Vector3d point, int axis, double wall) {
+  point[axis] = 2.0 * wall - point[axis];
+  return point;
+}
+
+TEST_F(ReflectionsTest, FirstAndSecondImagesOfAStrongerPeakAreMarkedAndOtherSourcesAreNot) {
+  const Eigen::Vector3d source(kMax.x(), 1.0, 0.5);
+  const Eigen::Vector3d in_floor = Image(source, 2, kMin.z());
+  const Eigen::Vector3d in_side = Image(source, 1, kMax.y());
+  Hear(source);
+  Hear(in_floor);
+  Hear({kMin.x(), -1.0, 0.7});  // another source
+  Hear(in_side);
+  Hear(Image(in_side, 0, kMin.x()));  // by way of two walls
+  Hear({1.0, 2.0, kMax.z()});         // on the ceiling
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, true, false, true, true, false}));
+}
+
+TEST_F(ReflectionsTest, AStrongerPeakIsNoReflectionOfAWeakerOne) {
+  const Eigen::Vector3d source(kMax.x(), 1.0, 0.5);
+  Hear(Image(source, 2, kMin.z()));
+  Hear(source);
+  EXPECT_FALSE(Marked()[0]);
+}
+
+TEST_F(ReflectionsTest, ASourceBesideAnotherOnOneWallIsNone) {
+  Hear({kMax.x(), 1.0, 0.5});
+  Hear({kMax.x(), -0.5, 0.2});
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, false}));
+}
+
+// What is not flat, such as a shelf, is no mirror.
+TEST_F(ReflectionsTest, OnlyFlatSurfacesReflect) {
+  const Eigen::Vector3d source(kMax.x(), 1.0, 0.5);
+  std::mt19937 random(4);
+  std::uniform_real_distribution<float> deep(0.0f, 0.3f);
+  for (Eigen::Vector3f& point : points_) {
+    if (point.z() < kMin.z() + 0.1f) point.z() += deep(random);
+  }
+  Hear(source);
+  Hear(Image(source, 2, kMin.z()));
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, false}));
+}
+
+// The peak of the reflection may be given on the other side of the array's plane.
+TEST_F(ReflectionsTest, AnArrayInAPlaneHearsBothSides) {
+  const Eigen::Vector3d normal_in_base(0.0, 0.1, 1.0);
+  array_normal_ = base_from_array_.inverse() * normal_in_base.normalized();
+  const Eigen::Vector3d source(kMax.x(), 1.0, 0.5);
+  const Eigen::Vector3d image = Image(source, 1, kMin.y());
+  Hear(source);
+  Hear(image - 2.0 * normal_in_base.dot(image) / normal_in_base.squaredNorm() * normal_in_base);
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, true}));
+}
+
+TEST_F(ReflectionsTest, WithoutAViewNothingIsMarked) {
+  points_.clear();
+  Hear({kMax.x(), 1.0, 0.5});
+  Hear({kMax.x(), 1.0, -3.0});
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, false}));
+}
+
+}  // namespace
+}  // namespace soundmap::ray_casting
