@@ -60,6 +60,41 @@ const char* NameOf(SessionState state) {
   return "unknown";
 }
 
+const char* NameOf(SoundSourceState state) {
+  switch (state) {
+    case SoundSourceState::kActive:
+      return "active";
+    case SoundSourceState::kSilent:
+      return "silent";
+    case SoundSourceState::kGone:
+      return "gone";
+    case SoundSourceState::kUnknown:
+      break;
+  }
+  return "unknown";
+}
+
+const char* NameOf(SoundSourceEvent::Kind kind) {
+  using Kind = SoundSourceEvent::Kind;
+  switch (kind) {
+    case Kind::kAppeared:
+      return "source_appeared";
+    case Kind::kFellSilent:
+      return "source_fell_silent";
+    case Kind::kActiveAgain:
+      return "source_active_again";
+    case Kind::kVanished:
+      return "source_vanished";
+    case Kind::kMerged:
+      return "source_merged";
+    case Kind::kMoved:
+      return "source_moved";
+    case Kind::kUnknown:
+      break;
+  }
+  return "source_event";
+}
+
 Json ToJson(const Vector3& vector) { return Json::array({vector.x, vector.y, vector.z}); }
 
 Json ToJson(const Site& site) {
@@ -130,15 +165,36 @@ Json ToJson(const Operation& operation) {
 }
 
 Json ToJson(const SoundSource& source) {
-  return {{"id", source.id},
-          {"position_m", ToJson(source.position_in_map_m)},
-          {"extent_m", source.extent_m},
-          {"probability", source.probability},
-          {"evidence_count", source.evidence_count},
-          {"first_heard_ns", source.first_heard_ns},
-          {"last_heard_ns", source.last_heard_ns},
-          {"peak_log_odds", source.peak_log_odds},
-          {"voxel_count", source.voxel_count}};
+  Json json = {{"id", source.id},
+               {"position_m", ToJson(source.position_in_map_m)},
+               {"extent_m", source.extent_m},
+               {"probability", source.probability},
+               {"evidence_count", source.evidence_count},
+               {"first_heard_ns", source.first_heard_ns},
+               {"last_heard_ns", source.last_heard_ns},
+               {"peak_log_odds", source.peak_log_odds},
+               {"voxel_count", source.voxel_count},
+               {"state", NameOf(source.state)}};
+  if (source.position_covariance_m2) {
+    json["position_covariance_m2"] = *source.position_covariance_m2;
+  }
+  json["view_point_count"] = source.view_point_count;
+  json["robots"] = source.robots;
+  json["last_listened_ns"] = source.last_listened_ns;
+  if (!source.heard_periods.empty()) {
+    Json& periods = json["heard_periods_ns"] = Json::array();
+    for (const HeardPeriod& period : source.heard_periods) {
+      periods.push_back({period.start_ns, period.end_ns});
+    }
+  }
+  if (source.level_db) json["level_db"] = *source.level_db;
+  if (!source.spectrum.empty()) {
+    Json& spectrum = json["spectrum"] = Json::array();
+    for (const OctaveBandLevel& band : source.spectrum) {
+      spectrum.push_back({{"centre_hz", band.centre_hz}, {"level_db", band.level_db}});
+    }
+  }
+  return json;
 }
 
 Json ToJson(const SoundSourceList& list, const std::string& site) {
@@ -190,6 +246,13 @@ std::optional<Json> ToJson(const WatchEvent& event) {
     }
     std::optional<Json> operator()(const RemovedSoundSource& removed) const {
       return Json{{"event", "sound_source_removed"}, {"id", removed.id}};
+    }
+    std::optional<Json> operator()(const SoundSourceEvent& event) const {
+      Json json{{"event", NameOf(event.kind)}, {"time_ns", event.time_ns}};
+      json["sound_source"] = ToJson(event.source);
+      if (!event.other_id.empty()) json["other"] = event.other_id;
+      if (event.from_in_map_m) json["from_m"] = ToJson(*event.from_in_map_m);
+      return json;
     }
     std::optional<Json> operator()(const Robot& robot) const {
       return Json{{"event", "robot"}, {"robot", ToJson(robot)}};

@@ -44,5 +44,6 @@ Json ListToJson(const char* key, const std::vector<Item>& items) {
 const char* NameOf(LocalizationState state);
 const char* NameOf(Purpose purpose);
 const char* NameOf(SessionState state);
+const char* NameOf(SoundSourceState state);
 
 }  // namespace soundmap::cli

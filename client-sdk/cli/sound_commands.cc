@@ -2,9 +2,11 @@
 #include <chrono>
 #include <iostream>
 #include <limits>
+#include <map>
 #include <memory>
 #include <numeric>
 #include <tuple>
+#include <utility>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -47,13 +49,18 @@ absl::Status Sources(Client& client, const SourcesArguments& arguments) {
                {"Z [m]", kRight},
                {"EXTENT [m]", kRight},
                {"PROBABILITY", kRight},
+               {"STATE"},
+               {"LEVEL [dB]", kRight},
+               {"VIEWS", kRight},
                {"EVIDENCE", kRight},
                {"FIRST HEARD"},
                {"LAST HEARD"}});
   for (const SoundSource& source : list->sources) {
     const Vector3& p = source.position_in_map_m;
     table.Add({source.id, Fixed(p.x, 2), Fixed(p.y, 2), Fixed(p.z, 2), Fixed(source.extent_m, 2),
-               Fixed(source.probability, 3), absl::StrCat(source.evidence_count),
+               Fixed(source.probability, 3), NameOf(source.state),
+               source.level_db ? Fixed(*source.level_db, 1) : "-",
+               absl::StrCat(source.view_point_count), absl::StrCat(source.evidence_count),
                FormatTime(source.first_heard_ns), FormatTime(source.last_heard_ns)});
   }
   table.Print(std::cout);
@@ -135,6 +142,20 @@ Box ParseBox(const std::string& text) {
   return {{n[0], n[1], n[2]}, {n[3], n[4], n[5]}};
 }
 
+void AddTime(CLI::App& command, const std::string& option, std::int64_t& time_ns,
+             const std::string& description) {
+  command.add_option_function<std::string>(
+      option,
+      [option, &time_ns](const std::string& text) {
+        const auto parsed_ns = ParseSince(text, NowNs());
+        if (!parsed_ns.ok()) {
+          throw CLI::ValidationError(option + ": " + std::string(parsed_ns.status().message()));
+        }
+        time_ns = *parsed_ns;
+      },
+      description);
+}
+
 }  // namespace
 
 void AddSoundCommands(CLI::App& app, CommandLine& line) {
@@ -146,17 +167,24 @@ void AddSoundCommands(CLI::App& app, CommandLine& line) {
       ->add_option("--min-probability", sources->query.min_probability,
                    "only sources at least as sure")
       ->check(CLI::Range(0.0, 1.0));
-  command->add_option_function<std::string>(
-      "--since",
-      [sources](const std::string& text) {
-        const auto since_ns = ParseSince(text, NowNs());
-        if (!since_ns.ok()) {
-          throw CLI::ValidationError("--since: " + std::string(since_ns.status().message()));
-        }
-        sources->query.since_ns = *since_ns;
-      },
+  AddTime(
+      *command, "--since", sources->query.since_ns,
       "only sources heard since: ISO 8601, seconds since 1970, or an age such as 10m, 2h or 1d");
-  RunWithClient(*command, line, [sources](Client& client) { return Sources(client, *sources); });
+  AddTime(*command, "--until", sources->query.end_ns,
+          "with --since: only sources heard between the two, those that are gone among them");
+  command
+      ->add_option("--state", sources->query.states,
+                   "only sources in this state: active, silent, gone; may be given again")
+      ->allow_extra_args(false)
+      ->transform(CLI::CheckedTransformer(
+          std::map<std::string, SoundSourceState>{{"active", SoundSourceState::kActive},
+                                                  {"silent", SoundSourceState::kSilent},
+                                                  {"gone", SoundSourceState::kGone}}));
+  RunWithClient(*command, line, [sources](Client& client) {
+    SoundSourceQuery& query = sources->query;
+    if (query.end_ns != 0) query.start_ns = std::exchange(query.since_ns, 0);
+    return Sources(client, *sources);
+  });
 
   auto voxels = std::make_shared<VoxelsArguments>();
   command = AddCommand(app, "voxels", "the voxels of a box of the sound map");

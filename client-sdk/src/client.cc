@@ -150,6 +150,9 @@ absl::StatusOr<SoundSourceList> Client::ListSoundSources(const SoundSourceQuery&
   first.set_site(internal::SiteName(query.site));
   first.set_min_probability(query.min_probability);
   first.set_since_ns(query.since_ns);
+  first.set_start_ns(query.start_ns);
+  first.set_end_ns(query.end_ns);
+  for (const SoundSourceState state : query.states) first.add_states(internal::ToProto(state));
   SoundSourceList list;
   const absl::Status status = ForEachPage(first, [&](const v1::ListSoundSourcesRequest& request) {
     auto response = connection_->Call<v1::ListSoundSourcesResponse>(

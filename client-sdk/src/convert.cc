@@ -55,6 +55,39 @@ SessionState FromProto(v1::SessionState wire) {
   }
 }
 
+SoundSourceState FromProto(v1::SoundSourceState wire) {
+  switch (wire) {
+    case v1::SOUND_SOURCE_STATE_ACTIVE:
+      return SoundSourceState::kActive;
+    case v1::SOUND_SOURCE_STATE_SILENT:
+      return SoundSourceState::kSilent;
+    case v1::SOUND_SOURCE_STATE_GONE:
+      return SoundSourceState::kGone;
+    default:
+      return SoundSourceState::kUnknown;
+  }
+}
+
+SoundSourceEvent::Kind FromProto(v1::SoundSourceEvent::Kind wire) {
+  using Kind = SoundSourceEvent::Kind;
+  switch (wire) {
+    case v1::SoundSourceEvent::KIND_APPEARED:
+      return Kind::kAppeared;
+    case v1::SoundSourceEvent::KIND_FELL_SILENT:
+      return Kind::kFellSilent;
+    case v1::SoundSourceEvent::KIND_ACTIVE_AGAIN:
+      return Kind::kActiveAgain;
+    case v1::SoundSourceEvent::KIND_VANISHED:
+      return Kind::kVanished;
+    case v1::SoundSourceEvent::KIND_MERGED:
+      return Kind::kMerged;
+    case v1::SoundSourceEvent::KIND_MOVED:
+      return Kind::kMoved;
+    default:
+      return Kind::kUnknown;
+  }
+}
+
 }  // namespace
 
 std::string SiteName(const std::string& site) { return Name("sites/", site); }
@@ -146,16 +179,41 @@ PoseEstimate FromProto(const v1::PoseEstimate& wire) {
 }
 
 SoundSource FromProto(const v1::SoundSource& wire) {
-  return {.id = IdIn(wire.name(), "soundSources"),
-          .site = IdIn(wire.name(), "sites"),
-          .position_in_map_m = FromProto(wire.position_m()),
-          .extent_m = wire.extent_m(),
-          .probability = wire.probability(),
-          .evidence_count = wire.evidence_count(),
-          .first_heard_ns = wire.first_heard_ns(),
-          .last_heard_ns = wire.last_heard_ns(),
-          .peak_log_odds = wire.peak_log_odds(),
-          .voxel_count = wire.voxel_count()};
+  SoundSource source{.id = IdIn(wire.name(), "soundSources"),
+                     .site = IdIn(wire.name(), "sites"),
+                     .position_in_map_m = FromProto(wire.position_m()),
+                     .extent_m = wire.extent_m(),
+                     .probability = wire.probability(),
+                     .evidence_count = wire.evidence_count(),
+                     .first_heard_ns = wire.first_heard_ns(),
+                     .last_heard_ns = wire.last_heard_ns(),
+                     .peak_log_odds = wire.peak_log_odds(),
+                     .voxel_count = wire.voxel_count(),
+                     .state = FromProto(wire.state()),
+                     .view_point_count = wire.view_point_count(),
+                     .last_listened_ns = wire.last_listened_ns()};
+  if (wire.position_covariance_m2_size() == 9) {
+    std::copy(wire.position_covariance_m2().begin(), wire.position_covariance_m2().end(),
+              source.position_covariance_m2.emplace().begin());
+  }
+  for (const std::string& robot : wire.robots()) source.robots.push_back(IdIn(robot, "robots"));
+  for (const auto& period : wire.heard_periods()) {
+    source.heard_periods.push_back({period.start_ns(), period.end_ns()});
+  }
+  if (wire.has_level_db()) source.level_db = wire.level_db();
+  for (const auto& band : wire.spectrum()) {
+    source.spectrum.push_back({band.centre_hz(), band.level_db()});
+  }
+  return source;
+}
+
+SoundSourceEvent FromProto(const v1::SoundSourceEvent& wire) {
+  SoundSourceEvent event{.kind = FromProto(wire.kind()),
+                         .time_ns = wire.time_ns(),
+                         .source = FromProto(wire.sound_source()),
+                         .other_id = IdIn(wire.other_sound_source(), "soundSources")};
+  if (wire.has_from_m()) event.from_in_map_m = FromProto(wire.from_m());
+  return event;
 }
 
 AudioScan FromProto(const v1::AudioScan& wire) {
@@ -199,6 +257,9 @@ WatchEvent FromProto(const v1::WatchEvent& wire) {
     case v1::WatchEvent::kRemovedSoundSource:
       event.event = RemovedSoundSource{IdIn(wire.removed_sound_source(), "soundSources")};
       break;
+    case v1::WatchEvent::kSoundSourceEvent:
+      event.event = FromProto(wire.sound_source_event());
+      break;
     case v1::WatchEvent::kRobot:
       event.event = FromProto(wire.robot());
       break;
@@ -230,6 +291,20 @@ void ToProto(const Vector3& vector, v1::Vector3& wire) {
   wire.set_x(vector.x);
   wire.set_y(vector.y);
   wire.set_z(vector.z);
+}
+
+v1::SoundSourceState ToProto(SoundSourceState state) {
+  switch (state) {
+    case SoundSourceState::kActive:
+      return v1::SOUND_SOURCE_STATE_ACTIVE;
+    case SoundSourceState::kSilent:
+      return v1::SOUND_SOURCE_STATE_SILENT;
+    case SoundSourceState::kGone:
+      return v1::SOUND_SOURCE_STATE_GONE;
+    case SoundSourceState::kUnknown:
+      break;
+  }
+  return v1::SOUND_SOURCE_STATE_UNSPECIFIED;
 }
 
 v1::ExportWhat ToProto(ExportWhat what) {

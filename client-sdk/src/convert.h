@@ -41,5 +41,6 @@ WatchEvent FromProto(const v1::WatchEvent& wire);
 void ToProto(const Pose2& pose, v1::Pose2& wire);
 void ToProto(const Vector3& vector, v1::Vector3& wire);
 v1::ExportWhat ToProto(ExportWhat what);
+v1::SoundSourceState ToProto(SoundSourceState state);
 
 }  // namespace soundmap::internal

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "acoustics/evidence.h"
+#include "acoustics/peak_level.h"
 
 namespace soundmap::acoustics {
 namespace {
@@ -25,6 +26,7 @@ struct AudioScanner::Tables {
   std::vector<Eigen::Vector3d> mic_in_array_m;
   std::shared_ptr<const SrpPhat> srp;
   std::optional<PeakFinder> finder;  // with PeakEvidence
+  std::optional<PeakLevel> level;    // with the finder
 };
 
 absl::StatusOr<std::shared_ptr<const AudioScanner::Tables>> AudioScanner::MakeTables(
@@ -35,11 +37,12 @@ absl::StatusOr<std::shared_ptr<const AudioScanner::Tables>> AudioScanner::MakeTa
   absl::StatusOr<std::shared_ptr<const SrpPhat>> srp = SrpPhat::Create(
       *layout, config.speed_of_sound_mps, calibration.mic_in_array_m, config.MakeGrid());
   if (!srp.ok()) return srp.status();
-  auto tables = std::make_shared<Tables>(
-      Tables{config, *layout, calibration.mic_in_array_m, *std::move(srp), std::nullopt});
+  auto tables = std::make_shared<Tables>(Tables{config, *layout, calibration.mic_in_array_m,
+                                                *std::move(srp), std::nullopt, std::nullopt});
   if (const auto* evidence = std::get_if<PeakEvidence>(&config.evidence)) {
     tables->finder.emplace(*evidence, *layout, config.speed_of_sound_mps,
                            calibration.mic_in_array_m, tables->srp);
+    tables->level.emplace(*layout, config.speed_of_sound_mps, calibration.mic_in_array_m);
   }
   return tables;
 }
@@ -191,6 +194,7 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   result.likelihood = tables->finder->Likelihood(found.peaks);
   result.noise_floor = found.noise_floor;
   result.peaks = std::move(found.peaks);
+  result.levels = tables->level->Levels(stft->newest_frame(), result.peaks);
   Done(Step::kEvidence);
   return result;
 }

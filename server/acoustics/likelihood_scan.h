@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "frames/frames.h"
+#include "frames/octave_bands.h"
 
 namespace soundmap::acoustics {
 
@@ -28,6 +29,9 @@ struct LikelihoodScan {
   std::vector<float> likelihood;  // L(theta_i, phi_i, k), in the order of the grid
   double noise_floor = 0.0;       // of S; 0 where the profile does not estimate it
   std::vector<Peak> peaks;        // strongest first
+  // What the strongest of them bring to the array, in their order; see PeakLevel. One frame of the
+  // scan: take means.
+  std::vector<frames::BandPowers> levels;
 
   frames::TimeNs mid_ns() const { return begin_ns + (end_ns - begin_ns) / 2; }
 };

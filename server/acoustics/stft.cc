@@ -77,6 +77,10 @@ Stft::~Stft() = default;
 Stft::Stft(Stft&&) noexcept = default;
 Stft& Stft::operator=(Stft&&) noexcept = default;
 
+FrameSpectra Stft::newest_frame() const {
+  return {transform_->output_row(0), static_cast<std::ptrdiff_t>(transform_->output_stride)};
+}
+
 const PhatSpectra& Stft::Analyze(std::span<const std::int16_t> samples) {
   const FlushDenormals flush;
   const Kernels& kernels = BestKernels();

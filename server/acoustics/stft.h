@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -33,6 +34,15 @@ struct PhatSpectra {
   std::vector<float> imaginary;
 };
 
+// The transforms of one windowed frame as they leave the FFT, in steps of the 16-bit samples: two
+// microphones a row, 2 p as the real and 2 p + 1 as the imaginary part of the signal.
+struct FrameSpectra {
+  const float* first_row = nullptr;  // real and imaginary parts of the bins 0 .. W
+  std::ptrdiff_t row_stride = 0;
+
+  const float* row(int p) const { return first_row + p * row_stride; }
+};
+
 // The short time Fourier transform with a periodic Hann window, W/2 hop, and the phase transform of
 // eq. (1). One thread at a time.
 class Stft {
@@ -47,6 +57,9 @@ class Stft {
   // arithmetic leaves only rounding there, gives 0.
   // The result holds until the next call.
   const PhatSpectra& Analyze(std::span<const std::int16_t> samples);
+
+  // The newest frame of what was analyzed last; holds until the next call.
+  FrameSpectra newest_frame() const;
 
  private:
   struct Transform;

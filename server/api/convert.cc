@@ -142,7 +142,32 @@ v1::Robot ToProto(const pipeline::RobotInfo& robot) {
 
 std::string SourceId(std::uint64_t id) { return absl::StrCat(absl::Hex(id, absl::kZeroPad16)); }
 
-v1::SoundSource ToProto(const std::string& site, const sound_map::SoundSource& source) {
+v1::SoundSourceState ToProto(sound_map::SourceState state) {
+  switch (state) {
+    case sound_map::SourceState::kActive:
+      return v1::SOUND_SOURCE_STATE_ACTIVE;
+    case sound_map::SourceState::kSilent:
+      return v1::SOUND_SOURCE_STATE_SILENT;
+    case sound_map::SourceState::kGone:
+      return v1::SOUND_SOURCE_STATE_GONE;
+  }
+  return v1::SOUND_SOURCE_STATE_UNSPECIFIED;
+}
+
+v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& registered,
+                        const TimeWindow& periods) {
+  v1::SoundSource proto = ToProto(site, registered);
+  for (const sound_map::HeardPeriod& period : registered.heard) {
+    if (!periods.Overlaps(period)) continue;
+    v1::HeardPeriod* heard = proto.add_heard_periods();
+    heard->set_start_ns(period.begin_ns);
+    heard->set_end_ns(period.end_ns);
+  }
+  return proto;
+}
+
+v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& registered) {
+  const sound_map::SoundSource& source = registered.found;
   v1::SoundSource proto;
   proto.set_name(SoundSourceResource(site, SourceId(source.id)));
   Set(proto.mutable_position_m(), source.position_in_map_m);
@@ -153,6 +178,55 @@ v1::SoundSource ToProto(const std::string& site, const sound_map::SoundSource& s
   proto.set_last_heard_ns(source.last_heard_ns);
   proto.set_peak_log_odds(source.peak_log_odds);
   proto.set_voxel_count(source.voxel_count);
+  proto.set_state(ToProto(registered.state));
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) {
+      proto.add_position_covariance_m2(registered.position_covariance_m2(row, column));
+    }
+  }
+  proto.set_view_point_count(static_cast<std::int64_t>(registered.view_points.size()));
+  for (const std::string& robot : registered.robots) proto.add_robots(RobotResource(robot));
+  proto.set_last_listened_ns(registered.last_listened_ns);
+  if (const auto level_db = registered.Level_db()) proto.set_level_db(*level_db);
+  const auto spectrum_db = registered.Spectrum_db();
+  for (int band = 0; band < frames::kOctaveBands; ++band) {
+    if (!spectrum_db[band]) continue;
+    v1::OctaveBandLevel* level = proto.add_spectrum();
+    level->set_centre_hz(frames::OctaveCentre_hz(band));
+    level->set_level_db(*spectrum_db[band]);
+  }
+  return proto;
+}
+
+v1::SoundSourceEvent ToProto(const std::string& site, const sound_map::SourceEvent& event) {
+  using Kind = sound_map::SourceEvent::Kind;
+  v1::SoundSourceEvent proto;
+  switch (event.kind) {
+    case Kind::kAppeared:
+      proto.set_kind(v1::SoundSourceEvent::KIND_APPEARED);
+      break;
+    case Kind::kFellSilent:
+      proto.set_kind(v1::SoundSourceEvent::KIND_FELL_SILENT);
+      break;
+    case Kind::kActiveAgain:
+      proto.set_kind(v1::SoundSourceEvent::KIND_ACTIVE_AGAIN);
+      break;
+    case Kind::kVanished:
+      proto.set_kind(v1::SoundSourceEvent::KIND_VANISHED);
+      break;
+    case Kind::kMerged:
+      proto.set_kind(v1::SoundSourceEvent::KIND_MERGED);
+      break;
+    case Kind::kMoved:
+      proto.set_kind(v1::SoundSourceEvent::KIND_MOVED);
+      Set(proto.mutable_from_m(), event.from_in_map_m);
+      break;
+  }
+  proto.set_time_ns(event.time_ns);
+  *proto.mutable_sound_source() = ToProto(site, event.source);
+  if (event.other_id != 0) {
+    proto.set_other_sound_source(SoundSourceResource(site, SourceId(event.other_id)));
+  }
   return proto;
 }
 

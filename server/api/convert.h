@@ -1,5 +1,7 @@
 #pragma once
 
+#include <limits>
+
 #include "absl/status/statusor.h"
 #include "pipeline/events.h"
 #include "pipeline/operations.h"
@@ -11,6 +13,7 @@
 #include "soundmap/v1/site_service.pb.h"
 #include "soundmap/v1/sound_map_service.pb.h"
 #include "soundmap/v1/types.pb.h"
+#include "soundmap/v1/watch_service.pb.h"
 
 namespace soundmap::api {
 
@@ -22,7 +25,21 @@ v1::Site ToProto(const pipeline::Site& site);
 v1::Session ToProto(const pipeline::Session& session);
 v1::Robot ToProto(const pipeline::RobotInfo& robot);
 std::string SourceId(std::uint64_t id);  // as it stands in a sound source's name
-v1::SoundSource ToProto(const std::string& site, const sound_map::SoundSource& source);
+// Capture times start_ns <= t < end_ns.
+struct TimeWindow {
+  frames::TimeNs start_ns = std::numeric_limits<frames::TimeNs>::min();
+  frames::TimeNs end_ns = std::numeric_limits<frames::TimeNs>::max();
+
+  bool Overlaps(const sound_map::HeardPeriod& period) const {
+    return period.begin_ns < end_ns && period.end_ns >= start_ns;
+  }
+};
+// With the periods that overlap the window.
+v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& source,
+                        const TimeWindow& periods);
+v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& source);
+v1::SoundSourceEvent ToProto(const std::string& site, const sound_map::SourceEvent& event);
+v1::SoundSourceState ToProto(sound_map::SourceState state);
 v1::AudioScan ToProto(const std::string& site, const pipeline::AudioScanInfo& scan);
 v1::Operation ToProto(const pipeline::OperationInfo& operation);
 

@@ -128,7 +128,11 @@ absl::StatusOr<std::string> ExportSound(pipeline::Site& site, const sound_map::S
     sound_map::PlanViewOptions options;
     options.title = absl::StrCat("Sound map of ", site.record().site);
     options.min_updates = min_updates;
-    return sound_map::RenderPlanView(map, PlanOf(site), site.region().sources()->sources, options);
+    std::vector<sound_map::SoundSource> sources;
+    for (const sound_map::RegisteredSource& source : site.region().sources()->sources) {
+      if (source.state != sound_map::SourceState::kGone) sources.push_back(source.found);
+    }
+    return sound_map::RenderPlanView(map, PlanOf(site), sources, options);
   }
   if (format == "mcap") return McapFrom(CloudFrom(map, min_updates), map.as_of_ns().value_or(0));
   std::ostringstream stream(std::ios::binary);

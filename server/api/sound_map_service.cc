@@ -1,5 +1,6 @@
 #include "api/sound_map_service.h"
 
+#include <algorithm>
 #include <limits>
 #include <optional>
 #include <vector>
@@ -51,6 +52,24 @@ void Append(const sound_map::VoxelPage& page, v1::VoxelChunk& chunk) {
   }
 }
 
+// None: the request names no window.
+absl::StatusOr<std::optional<TimeWindow>> WindowFrom(const v1::ListSoundSourcesRequest& request) {
+  if (request.start_ns() == 0 && request.end_ns() == 0) return std::nullopt;
+  TimeWindow window{.start_ns = request.start_ns()};
+  if (request.end_ns() != 0) window.end_ns = request.end_ns();
+  if (window.end_ns <= window.start_ns) {
+    return absl::InvalidArgumentError("end_ns is not after start_ns");
+  }
+  return window;
+}
+
+bool IsWanted(v1::SoundSourceState state, const v1::ListSoundSourcesRequest& request,
+              bool has_window) {
+  if (request.states().empty()) return has_window || state != v1::SOUND_SOURCE_STATE_GONE;
+  return std::find(request.states().begin(), request.states().end(), state) !=
+         request.states().end();
+}
+
 // "t_k:sequence" of the last scan of the page before.
 struct ScanPosition {
   frames::TimeNs time_ns = std::numeric_limits<frames::TimeNs>::min();
@@ -83,9 +102,10 @@ grpc::ServerUnaryReactor* SoundMapService::GetSoundSource(grpc::CallbackServerCo
   if (!allowed.ok()) return Finish(context, allowed);
   const auto site = sites_->Get(name->site);
   if (!site.ok()) return Finish(context, site.status());
-  for (const sound_map::SoundSource& source : (*site)->region().sources()->sources) {
-    if (SourceId(source.id) != name->source) continue;
-    *response = ToProto(name->site, source);
+  const auto sources = (*site)->region().sources();
+  for (const sound_map::RegisteredSource& source : sources->sources) {
+    if (SourceId(source.found.id) != name->source) continue;
+    *response = ToProto(name->site, source, TimeWindow());
     return Finish(context, absl::OkStatus());
   }
   return Finish(context,
@@ -99,17 +119,28 @@ grpc::ServerUnaryReactor* SoundMapService::ListSoundSources(
   const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return Finish(context, site.status());
   const std::string site_name = (*site)->record().site;
+  const auto window = WindowFrom(*request);
+  if (!window.ok()) return Finish(context, window.status());
+  if (!(request->min_probability() >= 0.0 && request->min_probability() <= 1.0)) {
+    return Finish(context, absl::InvalidArgumentError("min_probability is not in 0 .. 1"));
+  }
   const auto all = (*site)->region().sources();
-  std::vector<const sound_map::SoundSource*> sources;
-  for (const sound_map::SoundSource& source : all->sources) {
-    if (source.probability < request->min_probability()) continue;
-    if (source.last_heard_ns < request->since_ns()) continue;
+  std::vector<const sound_map::RegisteredSource*> sources;
+  for (const sound_map::RegisteredSource& source : all->sources) {
+    if (source.found.probability < request->min_probability()) continue;
+    if (source.found.last_heard_ns < request->since_ns()) continue;
+    if (!IsWanted(ToProto(source.state), *request, window->has_value())) continue;
+    if (*window && std::none_of(source.heard.begin(), source.heard.end(),
+                                [&](const auto& period) { return (*window)->Overlaps(period); })) {
+      continue;
+    }
     sources.push_back(&source);
   }
   const auto page = PageOf(sources.size(), request->page_size(), request->page_token());
   if (!page.ok()) return Finish(context, page.status());
   for (std::size_t i = page->begin; i < page->end; ++i) {
-    *response->add_sound_sources() = ToProto(site_name, *sources[i]);
+    *response->add_sound_sources() =
+        *window ? ToProto(site_name, *sources[i], **window) : ToProto(site_name, *sources[i]);
   }
   response->set_next_page_token(page->next_token);
   response->set_revision(static_cast<std::int64_t>(all->revision));

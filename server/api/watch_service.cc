@@ -85,7 +85,7 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   void QueueSnapshot() {
     next_ = site_->region().events().next();
     const auto sources = site_->region().sources();
-    for (const sound_map::SoundSource& source : sources->sources) Queue(source);
+    for (const sound_map::RegisteredSource& source : sources->sources) Queue(source);
     for (const pipeline::RobotInfo& robot : site_->Robots()) Queue(robot);
     v1::WatchEvent& complete = queue_.emplace_back();
     complete.mutable_snapshot_complete();
@@ -93,9 +93,12 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
 
   void Queue(const pipeline::Event& event) {
     v1::WatchEvent proto;
-    if (const auto* source = std::get_if<sound_map::SoundSource>(&event)) {
+    if (const auto* source = std::get_if<sound_map::RegisteredSource>(&event)) {
       if (!wants_all_ && !wants_sources_) return;
       *proto.mutable_sound_source() = ToProto(site_name_, *source);
+    } else if (const auto* happened = std::get_if<sound_map::SourceEvent>(&event)) {
+      if (!wants_all_ && !wants_sources_) return;
+      *proto.mutable_sound_source_event() = ToProto(site_name_, *happened);
     } else if (const auto* removed = std::get_if<pipeline::SourceRemoved>(&event)) {
       if (!wants_all_ && !wants_sources_) return;
       proto.set_removed_sound_source(SoundSourceResource(site_name_, SourceId(removed->id)));

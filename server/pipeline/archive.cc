@@ -1,13 +1,72 @@
 #include "pipeline/archive.h"
 
+#include <boost/serialization/map.hpp>
+
+#include "absl/strings/str_cat.h"
 #include "pipeline/serialization.h"
 
+namespace boost::serialization {
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::SoundSource& source, unsigned) {
+  archive& source.id& source.position_in_map_m& source.extent_m& source.probability& source
+      .evidence_count& source.voxel_count& source.peak_log_odds& source.first_heard_ns& source
+      .last_heard_ns;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::HeardPeriod& period, unsigned) {
+  archive& period.begin_ns& period.end_ns;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::HeardPeak& peak, unsigned) {
+  archive& peak.place_in_map_m& peak.power_at_1m;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::ViewPoint& view_point, unsigned) {
+  archive& view_point.place_in_map_m& view_point.level_scans& view_point.power_at_1m;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::RegisteredSource& source, unsigned) {
+  archive& source.found& source.state& source.position_covariance_m2& source
+      .last_listened_ns& source.robots& source.view_points& source.heard;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::SourceRegister::Track& track, unsigned) {
+  archive& track.source& track.judged_ns& track.log_odds_on& track.found_ns& track
+      .active_until_ns& track.left& track.listened_scans& track.heard_scans& track.sure_scans& track
+      .silent_s& track.announced& track.position_scans& track.mean_in_map_m& track.scatter_m2;
+}
+
+template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& state, unsigned) {
+  archive& state.tracks& state.scans& state.last_ns;
+}
+
+}  // namespace boost::serialization
+
 namespace soundmap::pipeline {
+namespace {
+
+constexpr std::uint32_t kSourceRegisterVersion = 1;
+// Entries from before levels were measured have none, and begin with the length of a name.
+constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0002;
+
+}  // namespace
 
 std::string EncodePose(const localization::PoseEstimate& pose) { return ToBytes(pose); }
 
 std::string EncodeAudioScan(const AudioScanInfo& scan) {
-  return ToBytes(scan.robot, scan.pose, scan.noise_floor, scan.peaks, scan.end_points);
+  return ToBytes(kAudioScanVersion, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                 scan.end_points, scan.heard);
+}
+
+std::string EncodeSourceRegister(const sound_map::SourceRegister::State& state) {
+  return ToBytes(kSourceRegisterVersion, state);
 }
 
 absl::StatusOr<localization::PoseEstimate> DecodePose(const std::string& bytes) {
@@ -18,11 +77,28 @@ absl::StatusOr<localization::PoseEstimate> DecodePose(const std::string& bytes) 
 }
 
 absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
+  std::uint64_t version = 0;
+  absl::Status status = FromBytes(bytes, version);
+  if (!status.ok()) return status;
   AudioScanInfo scan;
-  const absl::Status status =
-      FromBytes(bytes, scan.robot, scan.pose, scan.noise_floor, scan.peaks, scan.end_points);
+  status =
+      version == kAudioScanVersion
+          ? FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                      scan.end_points, scan.heard)
+          : FromBytes(bytes, scan.robot, scan.pose, scan.noise_floor, scan.peaks, scan.end_points);
   if (!status.ok()) return status;
   return scan;
+}
+
+absl::StatusOr<sound_map::SourceRegister::State> DecodeSourceRegister(const std::string& bytes) {
+  std::uint32_t version = 0;
+  if (absl::Status status = FromBytes(bytes, version); !status.ok()) return status;
+  if (version != kSourceRegisterVersion) {
+    return absl::DataLossError(absl::StrCat("the source register has version ", version));
+  }
+  sound_map::SourceRegister::State state;
+  if (absl::Status status = FromBytes(bytes, version, state); !status.ok()) return status;
+  return state;
 }
 
 }  // namespace soundmap::pipeline

@@ -4,6 +4,7 @@
 
 #include "absl/status/statusor.h"
 #include "pipeline/events.h"
+#include "sound_map/source_register.h"
 
 namespace soundmap::pipeline {
 
@@ -13,8 +14,11 @@ std::string EncodePose(const localization::PoseEstimate& pose);
 std::string EncodeAudioScan(
     const AudioScanInfo& scan);  // without the session and the time, which the journal keeps
 
+std::string EncodeSourceRegister(const sound_map::SourceRegister::State& state);
+
 // DataLoss: not such bytes.
 absl::StatusOr<localization::PoseEstimate> DecodePose(const std::string& bytes);
 absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes);
+absl::StatusOr<sound_map::SourceRegister::State> DecodeSourceRegister(const std::string& bytes);
 
 }  // namespace soundmap::pipeline

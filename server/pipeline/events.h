@@ -12,7 +12,7 @@
 
 #include "acoustics/likelihood_scan.h"
 #include "localization/pose_estimate.h"
-#include "sound_map/sound_sources.h"
+#include "sound_map/source_register.h"
 
 namespace soundmap::pipeline {
 
@@ -25,6 +25,7 @@ struct AudioScanInfo {
   double noise_floor = 0.0;
   std::vector<acoustics::Peak> peaks;
   std::int64_t end_points = 0;
+  std::vector<sound_map::HeardPeak> heard;
 };
 
 // A robot that has had a session here.
@@ -41,7 +42,8 @@ struct SourceRemoved {
   std::uint64_t id = 0;
 };
 
-using Event = std::variant<sound_map::SoundSource, SourceRemoved, RobotInfo, AudioScanInfo>;
+using Event = std::variant<sound_map::RegisteredSource, SourceRemoved, sound_map::SourceEvent,
+                           RobotInfo, AudioScanInfo>;
 
 // What happened at one site, newest last: a ring of bounded length, so that a slow reader can fall
 // out of it but never holds anybody up. Thread safe.

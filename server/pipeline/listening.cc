@@ -122,6 +122,47 @@ constexpr std::size_t kMaxPendingScans = 64;
 // A new audio scan is not older than this when it comes.
 constexpr frames::TimeNs kNewScanAge_ns = 5'000'000'000;
 
+// SaveState()'s bytes: a later layout has another number.
+constexpr std::uint64_t kStateVersion = 0x534d'4c02;
+
+// A peak lies where a ray through it ends; neighbouring rays end in one voxel or the next.
+const double kMinPeakCosine = std::cos(geometry::RadFromDeg(5.0));
+
+// Where the peaks' sound comes from and how loud it is there: a level at 1 m, by the square of the
+// distance. Peaks without an end point near their direction have no place.
+std::vector<sound_map::HeardPeak> PlacePeaks(const acoustics::LikelihoodScan& scan,
+                                             const sound_map::EvidenceScan& evidence,
+                                             const Eigen::Isometry3d& map_from_array,
+                                             double voxel_size_m) {
+  std::vector<Eigen::Vector3d> supporting_in_map;
+  for (const sound_map::EndPoint& end_point : evidence.end_points) {
+    if (end_point.likelihood > 0.5f) {
+      supporting_in_map.push_back(geometry::PointFromKey(end_point.key, voxel_size_m));
+    }
+  }
+  std::vector<sound_map::HeardPeak> heard;
+  for (std::size_t i = 0; i < scan.levels.size(); ++i) {
+    const Eigen::Vector3d direction = map_from_array.linear() * scan.peaks[i].direction_in_array;
+    double best_cosine = kMinPeakCosine;
+    double range_m = 0.0;
+    for (const Eigen::Vector3d& place : supporting_in_map) {
+      const Eigen::Vector3d ray = place - map_from_array.translation();
+      const double length_m = ray.norm();
+      const double cosine = ray.dot(direction) / length_m;
+      if (!(cosine > best_cosine)) continue;
+      best_cosine = cosine;
+      range_m = length_m;
+    }
+    if (range_m == 0.0) continue;
+    sound_map::HeardPeak& peak = heard.emplace_back();
+    peak.place_in_map_m = map_from_array.translation() + range_m * direction;
+    for (int band = 0; band < frames::kOctaveBands; ++band) {
+      peak.power_at_1m[band] = scan.levels[i][band] * static_cast<float>(range_m * range_m);
+    }
+  }
+  return heard;
+}
+
 frames::TimeNs MiddleOf(const frames::LidarScan& scan) {
   if (scan.time_offset_ns.empty()) return scan.stamp_ns;
   return scan.stamp_ns +
@@ -396,7 +437,10 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   }
   ++counters.audio_scans;
   scan.likelihood.clear();
-  output.scans.push_back({std::move(scan), *pose, *std::move(evidence)});
+  std::vector<sound_map::HeardPeak> heard =
+      PlacePeaks(scan, *evidence, pose->map_from_base.ToIsometry() * calibration.base_from_array,
+                 profile.sound_map.voxel_size_m);
+  output.scans.push_back({std::move(scan), *pose, *std::move(evidence), std::move(heard)});
 }
 
 std::vector<std::string> Listening::Warnings() const {
@@ -435,12 +479,17 @@ std::string Listening::SaveState() const {
   const State& state = *state_;
   const std::vector<frames::Odometry> track(state.track.entries().begin(),
                                             state.track.entries().end());
-  return ToBytes(state.localizer.state(),
+  return ToBytes(kStateVersion, state.localizer.state(),
                  state.scanner ? state.scanner->state() : acoustics::AudioScanner::State{}, track,
                  state.lidar_scans, state.pending_scans, state.heard, state.counters);
 }
 
 absl::Status Listening::RestoreState(const std::string& bytes) {
+  std::uint64_t version = 0;
+  if (absl::Status read = FromBytes(bytes, version); !read.ok()) return read;
+  if (version != kStateVersion) {
+    return absl::DataLossError("the stored state of a drive is of another version");
+  }
   localization::LocalizerState localizer_state;
   acoustics::AudioScanner::State scanner_state;
   std::vector<frames::Odometry> track;
@@ -448,8 +497,8 @@ absl::Status Listening::RestoreState(const std::string& bytes) {
   std::deque<acoustics::LikelihoodScan> pending_scans;
   std::int64_t heard = 0;
   Counters counters;
-  const absl::Status read = FromBytes(bytes, localizer_state, scanner_state, track, lidar_scans,
-                                      pending_scans, heard, counters);
+  const absl::Status read = FromBytes(bytes, version, localizer_state, scanner_state, track,
+                                      lidar_scans, pending_scans, heard, counters);
   if (!read.ok()) return read;
   State& state = *state_;
   auto localizer = localization::Localizer::Restore(state.plan, state.calibration, localizer_state);

@@ -14,6 +14,7 @@
 #include "pipeline/stage_times.h"
 #include "ray_casting/ray_caster.h"
 #include "sound_map/evidence.h"
+#include "sound_map/source_register.h"
 
 namespace soundmap::pipeline {
 
@@ -29,6 +30,7 @@ class Listening {
     acoustics::LikelihoodScan audio;  // without its likelihoods
     localization::PoseEstimate pose;
     sound_map::EvidenceScan evidence;
+    std::vector<sound_map::HeardPeak> heard;
   };
   // What some frames led to.
   struct Output {

@@ -333,6 +333,9 @@ void VisitSoundMap(Visitor& v, sound_map::SoundMapConfig& c) {
   v("masking_share", c.sources.masking_share);
   v("core_radius_m", c.sources.core_radius_m);
   v("min_evidence", c.sources.min_evidence);
+  v("view_point_spacing_m", c.sources.view_point_spacing_m);
+  v("gone_after_s", c.sources.gone_after_s);
+  v("history_days", c.sources.history_days);
 }
 
 template <typename Visitor>

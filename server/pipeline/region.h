@@ -11,17 +11,19 @@
 #include "pipeline/events.h"
 #include "pipeline/stage_times.h"
 #include "sound_map/sound_map.h"
-#include "sound_map/sound_sources.h"
+#include "sound_map/source_register.h"
 #include "storage/store.h"
 
 namespace soundmap::pipeline {
 
-// The sound map of one site: one writer at a time, readers on immutable snapshots that never wait
-// for it. Evidence enters the journal first, then the map; the revision of the map is the number of
-// journal entries in it, so that it means the same after a restart. Thread safe.
+// The sound map of one site and its sources: one writer at a time, readers on immutable snapshots
+// that never wait for it. Evidence enters the journal first, then map and source register; the
+// revision of the map is the number of journal entries in it, so that it means the same after a
+// restart. Map and sources are functions of the journal up to their revision. Thread safe.
 class Region {
  public:
   // The map as the store has it: the tiles of the last checkpoint, then the journal behind it.
+  // Where the store has no source register that this version can read, all of the journal.
   static absl::StatusOr<std::unique_ptr<Region>> Open(const std::string& site,
                                                       storage::Store* store,
                                                       const sound_map::SoundMapConfig& config);
@@ -29,11 +31,11 @@ class Region {
   std::shared_ptr<const sound_map::Snapshot> snapshot() const { return map_->TakeSnapshot(); }
 
   struct Sources {
-    std::vector<sound_map::SoundSource> sources;  // most probable first
+    std::vector<sound_map::RegisteredSource> sources;  // most probable first
     std::uint64_t revision = 0;
     std::optional<frames::TimeNs> as_of_ns;
   };
-  // As of the last FindSources(): never waits for one, however large the map.
+  // As of the register's last update, or of FindSources(): never waits for either.
   std::shared_ptr<const Sources> sources() const;
 
   // Brings sources() to the newest revision, if it is not there.
@@ -48,13 +50,18 @@ class Region {
 
   EventRing& events() { return events_; }
 
-  // FindSources(), and publishes the sources that are new, gone or different since the last call.
+  // Publishes which of the sources() are new, removed or different since the last call. What
+  // happened to sources (SourceEvent) is published by Commit().
   void PublishSourceChanges();
 
  private:
   Region(std::string site, storage::Store* store, std::unique_ptr<sound_map::SoundMap> map)
-      : site_(std::move(site)), store_(store), map_(std::move(map)) {}
+      : site_(std::move(site)), store_(store), map_(std::move(map)), register_(map_->config()) {}
   absl::Status Load();
+  // One journal entry enters map and register.
+  absl::StatusOr<std::vector<sound_map::SourceEvent>> Apply(const sound_map::EvidenceScan& evidence,
+                                                            const AudioScanInfo& scan,
+                                                            StageClock& clock);
   void FindSourcesLocked();
   absl::Status CheckpointLocked();
 
@@ -64,6 +71,7 @@ class Region {
 
   std::mutex writer_mutex_;
   const std::unique_ptr<sound_map::SoundMap> map_;  // changed with writer_mutex_ held
+  sound_map::SourceRegister register_;              // guarded by writer_mutex_
   std::uint64_t sequence_ = 0;  // guarded by writer_mutex_; last journal entry in map_
   std::int64_t updates_since_checkpoint_ = 0;  // guarded by writer_mutex_
 

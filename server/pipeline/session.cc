@@ -80,9 +80,13 @@ absl::Status Session::Recover() {
     if (!state.ok()) return state.status();
     if (state->has_value()) {
       const absl::Status restored = listening_->RestoreState((*state)->state);
-      if (!restored.ok()) return restored;
-      next_ = (*state)->offset;
-      heard_ = listening_->heard();
+      // The state of another version is made again from the start of the log.
+      if (restored.ok()) {
+        next_ = (*state)->offset;
+        heard_ = listening_->heard();
+      } else if (!absl::IsDataLoss(restored)) {
+        return restored;
+      }
     }
   }
   if (durable_ == 0) return absl::OkStatus();
@@ -425,7 +429,8 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
                              scan.pose,
                              scan.audio.noise_floor,
                              std::move(scan.audio.peaks),
-                             static_cast<std::int64_t>(scan.evidence.end_points.size())};
+                             static_cast<std::int64_t>(scan.evidence.end_points.size()),
+                             std::move(scan.heard)};
     commit_.journal.push_back({offset, EncodeAudioScan(info), std::move(scan.evidence)});
   }
 }

@@ -6,17 +6,51 @@
 #include "pipeline/drive_log.h"
 #include "pipeline/listening.h"
 #include "sound_map/sound_map.h"
+#include "sound_map/source_register.h"
 #include "storage/crc32c.h"
 
 namespace soundmap::pipeline {
 namespace {
 
+// A sound map and its sources, without a store.
+class TrialMap {
+ public:
+  explicit TrialMap(std::unique_ptr<sound_map::SoundMap> map)
+      : map_(std::move(map)), register_(map_->config()) {}
+
+  absl::Status Apply(const std::string& robot, const Listening::Scan& scan) {
+    const absl::Status applied = map_->Apply(scan.evidence);
+    if (!applied.ok()) return applied;
+    const geometry::Pose2& pose = scan.pose.map_from_base;
+    register_.Observe({robot, {pose.x_m, pose.y_m}, &scan.evidence, &scan.heard});
+    if (register_.due()) Update();
+    return absl::OkStatus();
+  }
+
+  std::vector<sound_map::RegisteredSource> Sources() {
+    if (register_.pending()) Update();
+    std::vector<sound_map::RegisteredSource> sources = register_.Sources();
+    std::erase_if(sources, [](const sound_map::RegisteredSource& source) {
+      return source.state == sound_map::SourceState::kGone;
+    });
+    return sources;
+  }
+
+ private:
+  void Update() {
+    register_.Update(sound_map::FindSoundSources(*map_->TakeSnapshot(), map_->config().sources));
+  }
+
+  const std::unique_ptr<sound_map::SoundMap> map_;
+  sound_map::SourceRegister register_;
+};
+
 // One drive through the pipeline. What a lost robot heard waits in the log until it knows where it
 // was, and enters the map before it drives on, as in a session.
 class Drive {
  public:
-  Drive(const DriveLog& log, Listening* listening, sound_map::SoundMap* map)
-      : log_(log), listening_(listening), map_(map) {}
+  Drive(const DriveLog& log, const std::string& robot, Listening* listening, TrialMap* map)
+      : log_(log), robot_(robot), listening_(listening), map_(map) {}
 
   // `frame_done(offset)` says whether to go on.
   absl::Status Run(absl::FunctionRef<bool(std::int64_t offset)> frame_done) {
@@ -61,15 +95,16 @@ class Drive {
 
   absl::Status Take(const Listening::Output& output) {
     for (const Listening::Scan& scan : output.scans) {
-      const absl::Status applied = map_->Apply(scan.evidence);
+      const absl::Status applied = map_->Apply(robot_, scan);
       if (!applied.ok()) return applied;
     }
     return absl::OkStatus();
   }
 
   const DriveLog& log_;
+  const std::string robot_;
   Listening* const listening_;
-  sound_map::SoundMap* const map_;
+  TrialMap* const map_;
 };
 
 }  // namespace
@@ -77,8 +112,9 @@ class Drive {
 absl::StatusOr<Trial> TryParameters(const std::vector<TrialDrive>& drives, const Profile& profile,
                                     storage::Store* store, const Session::FrameDecoder& decode,
                                     absl::FunctionRef<bool(double share)> report) {
-  const auto map = sound_map::SoundMap::Create(profile.sound_map);
-  if (!map.ok()) return map.status();
+  auto empty = sound_map::SoundMap::Create(profile.sound_map);
+  if (!empty.ok()) return empty.status();
+  TrialMap map(*std::move(empty));
   std::int64_t frames = 0;
   for (const TrialDrive& drive : drives) frames += drive.record.frame_count;
   std::int64_t frames_before = 0;
@@ -94,7 +130,7 @@ absl::StatusOr<Trial> TryParameters(const std::vector<TrialDrive>& drives, const
     const auto log = DriveLog::Open(drive.record, store, decode);
     if (!log.ok()) return log.status();
     const absl::Status run =
-        Drive(**log, listening->get(), map->get()).Run([&](std::int64_t offset) {
+        Drive(**log, drive.record.robot, listening->get(), &map).Run([&](std::int64_t offset) {
           return offset % 64 != 0 ||
                  report(static_cast<double>(frames_before + offset) / static_cast<double>(frames));
         });
@@ -102,13 +138,14 @@ absl::StatusOr<Trial> TryParameters(const std::vector<TrialDrive>& drives, const
     frames_before += drive.record.frame_count;
     trial.audio_scans += (*listening)->counters().audio_scans;
   }
-  trial.sources = sound_map::FindSoundSources(*(*map)->TakeSnapshot(), profile.sound_map.sources);
+  trial.sources = map.Sources();
   return trial;
 }
 
 std::string ToJson(const Trial& trial) {
   nlohmann::json sources = nlohmann::json::array();
-  for (const sound_map::SoundSource& source : trial.sources) {
+  for (const sound_map::RegisteredSource& registered : trial.sources) {
+    const sound_map::SoundSource& source = registered.found;
     const Eigen::Vector3d& position = source.position_in_map_m;
     sources.push_back({{"position_m", {position.x(), position.y(), position.z()}},
                        {"extent_m", source.extent_m},

@@ -11,7 +11,7 @@
 #include "pipeline/profile.h"
 #include "pipeline/records.h"
 #include "pipeline/session.h"
-#include "sound_map/sound_sources.h"
+#include "sound_map/registered_source.h"
 #include "storage/store.h"
 
 namespace soundmap::pipeline {
@@ -24,8 +24,8 @@ struct TrialDrive {
 
 // What listening drives lead to with parameters of one's own.
 struct Trial {
-  std::vector<sound_map::SoundSource> sources;  // most probable first
-  std::int64_t audio_scans = 0;                 // that gave evidence
+  std::vector<sound_map::RegisteredSource> sources;  // but for those that are gone
+  std::int64_t audio_scans = 0;                      // that gave evidence
 };
 
 // Runs the drives, one after the other, from their logs through the pipeline into a sound map that

@@ -50,6 +50,15 @@ absl::Status SoundSourceConfig::Validate() const {
   }
   if (!IsIn(masking_share, 0.0, 1.0))
     return Wrong("masking_share", masking_share, "must be 0 to 1");
+  if (!IsIn(view_point_spacing_m, 1e-3, 100.0)) {
+    return Wrong("view_point_spacing_m", view_point_spacing_m, "must be 0.001 to 100");
+  }
+  if (!IsIn(gone_after_s, 1.0, 1e9)) {
+    return Wrong("gone_after_s", gone_after_s, "must be 1 to 1000000000");
+  }
+  if (!IsIn(history_days, 0.01, 36'500.0)) {
+    return Wrong("history_days", history_days, "must be 0.01 to 36500");
+  }
   return absl::OkStatus();
 }
 

@@ -48,6 +48,11 @@ struct SoundSourceConfig {
   double core_radius_m = 0.30;      // voxels of a source lie within this distance of its centre
   std::uint32_t min_evidence = 20;  // fewer supporting observations make no source
 
+  // Sources as objects; see source_register.h
+  double view_point_spacing_m = 1.0;  // robots that stood closer together heard the same
+  double gone_after_s = 600.0;        // a source that was listened to so long in silence is gone
+  double history_days = 30.0;         // that is kept of when a source was heard
+
   absl::Status Validate() const;
 };
 

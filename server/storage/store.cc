@@ -31,6 +31,7 @@ constexpr char kAfterEnd = '\1';
 std::string SiteKey(const std::string& site) { return site + kEnd; }
 std::string LastSequenceKey(const std::string& site) { return SiteKey(site) + 'j'; }
 std::string CheckpointKey(const std::string& site) { return SiteKey(site) + 'c'; }
+std::string SourceRegisterKey(const std::string& site) { return SiteKey(site) + 'r'; }
 std::string DeletedSiteKey(const std::string& site) { return kEnd + site; }
 
 std::string SessionKey(const SessionId& id) { return SiteKey(id.site) + 's' + id.session + kEnd; }
@@ -535,9 +536,18 @@ absl::Status Store::ReadJournalRange(
 }
 
 absl::Status Store::PutCheckpoint(const std::string& site, const std::vector<Tile>& tiles,
-                                  std::uint64_t journal_sequence) {
+                                  std::uint64_t journal_sequence,
+                                  const std::string& source_register) {
   if (absl::Status valid = ValidateName("site", site); !valid.ok()) return valid;
+  if (absl::Status fits = state_->CheckSize("a source register", source_register); !fits.ok()) {
+    return fits;
+  }
   Batch batch;
+  if (source_register.empty()) {
+    batch.Delete(Family::kState, SourceRegisterKey(site));
+  } else {
+    batch.Put(Family::kState, SourceRegisterKey(site), source_register);
+  }
   for (const Tile& tile : tiles) {
     if (absl::Status fits = state_->CheckSize("a tile", tile.bytes); !fits.ok()) return fits;
     const std::string key = TileKeyBytes(site, tile.key);
@@ -559,6 +569,13 @@ absl::Status Store::PutCheckpoint(const std::string& site, const std::vector<Til
         " is not between the checkpoint before, ", *before, ", and the last entry, ", *last));
   }
   return state_->database->Write(batch, /*sync=*/true);
+}
+
+absl::StatusOr<std::string> Store::ReadSourceRegister(const std::string& site) const {
+  if (absl::Status valid = ValidateName("site", site); !valid.ok()) return valid;
+  auto bytes = state_->Get(Family::kState, SourceRegisterKey(site));
+  if (!bytes.ok()) return bytes.status();
+  return bytes->value_or("");
 }
 
 absl::StatusOr<std::uint64_t> Store::ReadTiles(

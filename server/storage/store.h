@@ -102,10 +102,14 @@ class Store {
       const std::string& site, frames::TimeNs from_ns, frames::TimeNs to_ns,
       const std::function<absl::Status(const JournalRecord&)>& callback) const;
 
-  // Tiles. `journal_sequence`: the last entry that the tiles contain; it never goes back. Atomic
-  // and on the disk when it returns.
+  // Tiles. `journal_sequence`: the last entry that the tiles and the source register (the sound
+  // map's own bytes; empty: none) contain; it never goes back. Atomic and on the disk when it
+  // returns.
   absl::Status PutCheckpoint(const std::string& site, const std::vector<Tile>& tiles,
-                             std::uint64_t journal_sequence);
+                             std::uint64_t journal_sequence,
+                             const std::string& source_register = {});
+  // As it was given with the last checkpoint; empty: it had none.
+  absl::StatusOr<std::string> ReadSourceRegister(const std::string& site) const;
   // All tiles of the site, in the order of their keys, and the sequence that they belong to.
   absl::StatusOr<std::uint64_t> ReadTiles(
       const std::string& site, const std::function<absl::Status(const Tile&)>& callback) const;

@@ -299,11 +299,28 @@ v1::SoundSource Source(const std::string& id, double x, double y, double z, doub
   source.set_last_heard_ns(1'060'250'000'000);
   source.set_peak_log_odds(3.5);
   source.set_voxel_count(9);
+  source.set_state(v1::SOUND_SOURCE_STATE_ACTIVE);
   return source;
 }
 
 TEST_F(CliTest, PrintsSources) {
-  state().sources = {Source("s1", 2, 1.6, 2.7, 0.75), Source("s2", 0.1, -5.4, 2.7, 0.9)};
+  v1::SoundSource silent = Source("s2", 0.1, -5.4, 2.7, 0.9);
+  silent.set_state(v1::SOUND_SOURCE_STATE_SILENT);
+  for (const double value : {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.5}) {
+    silent.add_position_covariance_m2(value);
+  }
+  silent.set_view_point_count(3);
+  silent.add_robots("robots/r1");
+  silent.add_robots("robots/r2");
+  silent.set_last_listened_ns(1'070'000'000'000);
+  v1::HeardPeriod* period = silent.add_heard_periods();
+  period->set_start_ns(1'000'000'000'000);
+  period->set_end_ns(1'060'250'000'000);
+  silent.set_level_db(-12.5);
+  v1::OctaveBandLevel* band = silent.add_spectrum();
+  band->set_centre_hz(500.0);
+  band->set_level_db(-14.0);
+  state().sources = {Source("s1", 2, 1.6, 2.7, 0.75), silent};
   const std::vector<std::string> line = {"sources",           "hall", "--format", "json",
                                          "--min-probability", "0.5",  "--since",  "10.5"};
   const Result json = Run(line);
@@ -312,10 +329,15 @@ TEST_F(CliTest, PrintsSources) {
             R"({"site":"hall","revision":12,"as_of_ns":1000000000000,"sources":[)"
             R"({"id":"s2","position_m":[0.1,-5.4,2.7],"extent_m":0.5,"probability":0.9,)"
             R"("evidence_count":40,"first_heard_ns":1000000000000,"last_heard_ns":1060250000000,)"
-            R"("peak_log_odds":3.5,"voxel_count":9},)"
+            R"("peak_log_odds":3.5,"voxel_count":9,"state":"silent",)"
+            R"("position_covariance_m2":[1.0,0.0,0.0,0.0,1.0,0.0,0.0,0.0,2.5],)"
+            R"("view_point_count":3,"robots":["r1","r2"],"last_listened_ns":1070000000000,)"
+            R"("heard_periods_ns":[[1000000000000,1060250000000]],"level_db":-12.5,)"
+            R"("spectrum":[{"centre_hz":500.0,"level_db":-14.0}]},)"
             R"({"id":"s1","position_m":[2.0,1.6,2.7],"extent_m":0.5,"probability":0.75,)"
             R"("evidence_count":40,"first_heard_ns":1000000000000,"last_heard_ns":1060250000000,)"
-            R"("peak_log_odds":3.5,"voxel_count":9}]})"
+            R"("peak_log_odds":3.5,"voxel_count":9,"state":"active","view_point_count":0,)"
+            R"("robots":[],"last_listened_ns":0}]})"
             "\n");
   EXPECT_EQ(state().last_sources_request.since_ns(), 10'500'000'000);
   EXPECT_EQ(state().last_sources_request.min_probability(), 0.5);
@@ -323,12 +345,28 @@ TEST_F(CliTest, PrintsSources) {
   EXPECT_EQ(Run(line).out, json.out);
   EXPECT_EQ(
       Run({"sources", "hall"}).out,
-      "SOURCE  X [m]  Y [m]  Z [m]  EXTENT [m]  PROBABILITY  EVIDENCE  FIRST HEARD            "
-      "   LAST HEARD\n"
-      "s2       0.10  -5.40   2.70        0.50        0.900        40  "
+      "SOURCE  X [m]  Y [m]  Z [m]  EXTENT [m]  PROBABILITY  STATE   LEVEL [dB]  VIEWS  EVIDENCE  "
+      "FIRST HEARD "
+      "              LAST HEARD\n"
+      "s2       0.10  -5.40   2.70        0.50        0.900  silent       -12.5      3        40  "
       "1970-01-01T00:16:40.000Z  1970-01-01T00:17:40.250Z\n"
-      "s1       2.00   1.60   2.70        0.50        0.750        40  "
+      "s1       2.00   1.60   2.70        0.50        0.750  active           -      0        40  "
       "1970-01-01T00:16:40.000Z  1970-01-01T00:17:40.250Z\n");
+}
+
+TEST_F(CliTest, AsksForATimeWindowAndForStates) {
+  ASSERT_EQ(Run({"sources", "hall", "--since", "100", "--until", "200", "--state", "active",
+                 "--state", "gone"})
+                .exit_status,
+            0);
+  const v1::ListSoundSourcesRequest& request = state().last_sources_request;
+  EXPECT_EQ(request.start_ns(), 100'000'000'000);
+  EXPECT_EQ(request.end_ns(), 200'000'000'000);
+  EXPECT_EQ(request.since_ns(), 0);
+  ASSERT_EQ(request.states_size(), 2);
+  EXPECT_EQ(request.states(0), v1::SOUND_SOURCE_STATE_ACTIVE);
+  EXPECT_EQ(request.states(1), v1::SOUND_SOURCE_STATE_GONE);
+  EXPECT_EQ(Run({"sources", "hall", "--state", "loud"}).exit_status, 2);
 }
 
 TEST_F(CliTest, PrintsVoxels) {
@@ -359,6 +397,26 @@ TEST_F(CliTest, PrintsVoxels) {
                       R"({"x_m":2.025,"y_m":-0.025,"z_m":0.025,"log_odds":0.9,"update_count":4,)"
                       R"("last_update_ns":1000000000123}]})"
                       "\n");
+}
+
+TEST_F(CliTest, WatchTellsWhatHappenedToASource) {
+  v1::WatchEvent event;
+  event.set_revision(8);
+  event.set_resume_token("t8");
+  v1::SoundSourceEvent& happened = *event.mutable_sound_source_event();
+  happened.set_kind(v1::SoundSourceEvent::KIND_MOVED);
+  happened.set_time_ns(1'000'000'000'001);
+  *happened.mutable_sound_source() = Source("s1", 2, 1.6, 2.7, 0.75);
+  happened.set_other_sound_source("sites/hall/soundSources/s2");
+  happened.mutable_from_m()->set_x(1.5);
+  state().watch_script = {{{event}, grpc::Status::OK}};
+  const Result result = Run({"watch", "hall", "--sources", "--count", "1"});
+  ASSERT_EQ(result.exit_status, 0) << result.err;
+  EXPECT_THAT(result.out, StartsWith(R"({"event":"source_moved","time_ns":1000000000001,)"
+                                     R"("sound_source":{"id":"s1","position_m":[2.0,1.6,2.7],)"));
+  EXPECT_THAT(
+      result.out,
+      HasSubstr(R"("other":"s2","from_m":[1.5,0.0,0.0],"revision":8,"resume_token":"t8"})"));
 }
 
 TEST_F(CliTest, WatchesScansInDegrees) {

@@ -17,7 +17,7 @@ TEST(Rooms, MostSourcesAreFoundAndFewGhosts) {
     const auto trial = RandomTrial(seed, variant, ::testing::TempDir());
     ASSERT_TRUE(trial.ok()) << trial.status();
     EXPECT_FALSE(trial->planar());
-    const auto result = Run(*trial, *profile);
+    const auto result = acceptance::Run(*trial, *profile);
     ASSERT_TRUE(result.ok()) << result.status();
     EXPECT_LT(result->pose_error_m, 0.1);
     summary.Add(*result);

@@ -1,12 +1,13 @@
 """From a drive to a sound map, through the real programs."""
 
 import json
+import math
 import subprocess
 import unittest
 import urllib.error
 import urllib.request
 
-from programs import DRIVES, ProgramTest, run
+from programs import DRIVES, ProgramTest, run, start
 
 
 class ChainTest(ProgramTest):
@@ -55,6 +56,45 @@ class ChainTest(ProgramTest):
         self.refused(server, "soundmap", "tune", "--case", "site", *truth, "--vary", "default.acoustics.no_such=1",
                      says="the parameter acoustics.no_such is not known")
         self.refused(server, "soundmap", "tune", "--case", "nowhere", *truth, says="nowhere")
+
+    def test_sources_last_fall_silent_and_are_told_of(self):
+        server = self.server()
+        self.make_site(server)
+        watch = start(server, "soundmap", "watch", "site", "--sources")
+        self.addCleanup(watch.communicate)
+        self.addCleanup(watch.terminate)
+        while json.loads(watch.stdout.readline())["event"] != "snapshot_complete":
+            pass
+        self.replay(server, DRIVES / "stopping.mcap")
+        scene = json.loads((DRIVES / "stopping.truth.json").read_text())
+        sources = json.loads(self.sources_json(server))["sources"]
+        stopped = [self.nearest(sources, source) for source in scene["sources"] if "off_s" in source]
+        for source in stopped:
+            self.assertEqual(source["state"], "silent")
+        self.assertIn("active", [source["state"] for source in sources])
+        # Who watched has seen it come and fall silent, under one name.
+        told = {}
+        while any("source_fell_silent" not in told.get(source["id"], []) for source in stopped):
+            event = json.loads(watch.stdout.readline())
+            if event["event"].startswith("source_"):
+                told.setdefault(event["sound_source"]["id"], []).append(event["event"])
+        for source in stopped:
+            self.assertEqual(told[source["id"]][0], "source_appeared")
+        # What was heard in the first seconds, and what in the last ones.
+        drive = self.session_list(server)[0]
+        def heard(since_ns, until_ns):
+            listed = json.loads(self.ok(server, "soundmap", "sources", "site", "--since", str(since_ns / 1e9), "--until",
+                                        str(until_ns / 1e9), "--min-probability", "0.5", "--format", "json"))
+            return {source["id"] for source in listed["sources"]}
+        first, last = drive["first_frame_time_ns"], drive["last_frame_time_ns"]
+        self.assertLessEqual({source["id"] for source in stopped}, heard(first, first + 20 * 10**9))
+        self.assertEqual(heard(last + 10**9, last + 2 * 10**9), set())
+        self.refused(server, "soundmap", "sources", "site", "--since", "200", "--until", "100", says="end_ns")
+
+    def nearest(self, sources, true):
+        source = min(sources, key=lambda s: math.dist(s["position_m"], true["position"]))
+        self.assertLess(math.dist(source["position_m"], true["position"]), 0.5)
+        return source
 
     def test_metrics_say_what_the_work_was(self):
         server = self.server()

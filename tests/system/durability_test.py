@@ -12,24 +12,24 @@ class DurabilityTest(ProgramTest):
         server = self.server()
         self.make_site(server)
         self.replay(server, DRIVE)
-        sources, voxels = self.sources_json(server), self.full_map(server)
+        sources, voxels = self.source_history_json(server), self.full_map(server)
         self.assertEqual(server.stop(), 0)
         server = self.server()
-        self.assertEqual(self.sources_json(server), sources)
+        self.assertEqual(self.source_history_json(server), sources)
         self.assertEqual(self.full_map(server), voxels)
         # And after a crash, from the journal.
         server.kill()
         server = self.server()
-        self.assertEqual(self.sources_json(server), sources)
+        self.assertEqual(self.source_history_json(server), sources)
         self.assertEqual(self.full_map(server), voxels)
 
     def test_the_same_drive_again_counts_nothing(self):
         server = self.server()
         self.make_site(server)
         self.replay(server, DRIVES / "short.mcap")
-        sources, voxels = self.sources_json(server), self.full_map(server)
+        sources, voxels = self.source_history_json(server), self.full_map(server)
         self.replay(server, DRIVES / "short.mcap")
-        self.assertEqual(self.sources_json(server), sources)
+        self.assertEqual(self.source_history_json(server), sources)
         self.assertEqual(self.full_map(server), voxels)
         # Asked to, it counts again.
         self.ok(server, "soundmap-robot", *self.replay_arguments(DRIVES / "short.mcap"), "--new-session")
@@ -39,7 +39,7 @@ class DurabilityTest(ProgramTest):
         server = self.server("undisturbed")
         self.make_site(server)
         self.replay(server, DRIVE)
-        sources, voxels = self.sources_json(server), self.full_map(server)
+        sources, voxels = self.source_history_json(server), self.full_map(server)
         frames = self.processed(server)
         server.kill()
 
@@ -47,7 +47,7 @@ class DurabilityTest(ProgramTest):
         self.make_site(server)
         server = self.replay_while_killing(server, frames, self.replay_arguments(DRIVE, speed="8"))
         self.assertEqual(self.full_map(server), voxels)
-        self.assertEqual(self.sources_json(server), sources)
+        self.assertEqual(self.source_history_json(server), sources)
 
     def test_sigterm_in_the_middle_of_a_drive(self):
         server = self.server("undisturbed")

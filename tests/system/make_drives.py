@@ -38,6 +38,10 @@ def main():
     simulate("grill_room", "short", "--seconds", "8")
     simulate(scene_with("fast_audio", audio={"sample_rate_hz": 48000}), "fast_audio", "--seconds", "6")
     simulate(scene_with("drifting_clock", audio={"clock_drift_ppm": 50}), "drifting_clock", "--seconds", "8")
+    stopping = json.loads((SCENES / "grill_room.json").read_text())
+    stopping["sources"][2]["off_s"] = 18
+    (DRIVES / "stopping.json").write_text(json.dumps(stopping))
+    simulate(DRIVES / "stopping.json", "stopping", "--seconds", "50")
     # An office, which looks the same from no two places.
     simulate("office", "office_mapping", "--mapping")
     simulate("office", "office", "--seconds", "40")

@@ -130,6 +130,10 @@ class ProgramTest(unittest.TestCase):
     def sources_json(self, server, site="site"):
         return self.ok(server, "soundmap", "sources", site, "--format", "json")
 
+    def source_history_json(self, server, site="site"):
+        """With everything that is kept of each, also of those that are gone."""
+        return self.ok(server, "soundmap", "sources", site, "--since", "1", "--until", "2100-01-01", "--format", "json")
+
     def full_map(self, server, site="site"):
         """L, M and U of every voxel, as bytes."""
         path = self.folder / "full.ot"

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -9,6 +10,25 @@
 
 namespace soundmap {
 
+enum class SoundSourceState {
+  kUnknown,
+  kActive,  // heard when it was last listened to
+  kSilent,  // listened to since, and not heard
+  kGone,    // silent for so long that it counts as removed
+};
+
+// A stretch of capture time in which a source was heard, with pauses of at most a minute.
+struct HeardPeriod {
+  std::int64_t start_ns = 0;
+  std::int64_t end_ns = 0;
+};
+
+struct OctaveBandLevel {
+  double centre_hz = 0.0;
+  double level_db = 0.0;
+};
+
+// An object that lasts: its id stays while more is heard of it.
 struct SoundSource {
   std::string id;
   std::string site;
@@ -20,6 +40,26 @@ struct SoundSource {
   std::int64_t last_heard_ns = 0;
   double peak_log_odds = 0.0;
   std::int64_t voxel_count = 0;
+  SoundSourceState state = SoundSourceState::kUnknown;
+  std::optional<std::array<double, 9>> position_covariance_m2;  // row-major
+  std::int64_t view_point_count = 0;  // places a metre apart from which it was heard
+  std::vector<std::string> robots;    // that heard it
+  std::int64_t last_listened_ns = 0;  // newest scan that reached its place, heard or not
+  // GetSoundSource(): all that is kept. ListSoundSources(): those in the query's window.
+  std::vector<HeardPeriod> heard_periods;
+  // At 1 m; 0 dB is a full-scale square wave at the microphones.
+  std::optional<double> level_db;
+  std::vector<OctaveBandLevel> spectrum;  // of bands that were measured and where it stands out
+};
+
+// What happened to a source, beside the changes of its fields.
+struct SoundSourceEvent {
+  enum class Kind { kUnknown, kAppeared, kFellSilent, kActiveAgain, kVanished, kMerged, kMoved };
+  Kind kind = Kind::kUnknown;
+  std::int64_t time_ns = 0;  // capture time of the scan at which it was noticed
+  SoundSource source;
+  std::string other_id;  // kMerged: what it is part of now; kMoved: its new place's until then
+  std::optional<Vector3> from_in_map_m;  // kMoved
 };
 
 // `revision`: of the map that the answer was read from; `as_of_ns`: capture time of its last
@@ -33,7 +73,11 @@ struct SoundSourceList {
 struct SoundSourceQuery {
   std::string site;
   double min_probability = 0.0;
-  std::int64_t since_ns = 0;  // heard at or after; 0: ever
+  std::int64_t since_ns = 0;  // last heard at or after; 0: ever
+  // Heard in start_ns <= time < end_ns. Both 0: no such condition; end_ns 0: open.
+  std::int64_t start_ns = 0;
+  std::int64_t end_ns = 0;
+  std::vector<SoundSourceState> states;  // empty: all; but those that are gone only with a window
 };
 
 struct VoxelQuery {

@@ -32,7 +32,7 @@ struct WatchEvent {
   std::int64_t revision = 0;
   std::string resume_token;
   std::variant<Heartbeat, SoundSource, RemovedSoundSource, Robot, AudioScan, SnapshotComplete,
-               Resync>
+               Resync, SoundSourceEvent>
       event;
 };
 

@@ -1,0 +1,98 @@
+#include "sound_map/registered_source.h"
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+
+namespace soundmap::sound_map {
+namespace {
+
+constexpr frames::TimeNs kPeriodPause_ns = 60'000'000'000;
+constexpr std::size_t kMaxPeriods = 512;
+constexpr std::size_t kMaxRobots = 64;
+
+// The mean over fewer scans says little about a level.
+constexpr std::int64_t kMinLevelScans = 4;
+
+// How much the levels of one source may differ over the bands (root mean square): the room changes
+// what a source sounds like from other places by some decibels.
+constexpr double kMaxUnlike_db = 4.0;
+constexpr int kMinAlikeBands = 3;
+
+}  // namespace
+
+std::array<std::optional<double>, frames::kOctaveBands> RegisteredSource::Spectrum_db() const {
+  std::array<std::optional<double>, frames::kOctaveBands> spectrum_db;
+  std::vector<double> means;
+  for (int band = 0; band < frames::kOctaveBands; ++band) {
+    means.clear();
+    for (const ViewPoint& view_point : view_points) {
+      if (view_point.level_scans < kMinLevelScans) continue;
+      means.push_back(view_point.power_at_1m[band] / static_cast<double>(view_point.level_scans));
+    }
+    if (means.empty()) continue;
+    const auto middle = means.begin() + static_cast<std::ptrdiff_t>(means.size() / 2);
+    std::nth_element(means.begin(), middle, means.end());
+    if (*middle > 0.0) spectrum_db[band] = 10.0 * std::log10(*middle);
+  }
+  return spectrum_db;
+}
+
+std::optional<double> RegisteredSource::Level_db() const {
+  double power = 0.0;
+  for (const std::optional<double>& band_db : Spectrum_db()) {
+    if (band_db) power += std::pow(10.0, *band_db / 10.0);
+  }
+  if (!(power > 0.0)) return std::nullopt;
+  return 10.0 * std::log10(power);
+}
+
+void RegisteredSource::AddHeard(frames::TimeNs time_ns) {
+  std::vector<HeardPeriod>& periods = heard;
+  // The first one that ends less than a pause before the time, or later.
+  auto at = std::lower_bound(periods.begin(), periods.end(), time_ns - kPeriodPause_ns,
+                             [](const HeardPeriod& p, frames::TimeNs t) { return p.end_ns < t; });
+  if (at == periods.end() || at->begin_ns > time_ns + kPeriodPause_ns) {
+    periods.insert(at, {time_ns, time_ns});
+    if (periods.size() > kMaxPeriods) periods.erase(periods.begin());
+    return;
+  }
+  at->begin_ns = std::min(at->begin_ns, time_ns);
+  at->end_ns = std::max(at->end_ns, time_ns);
+  const auto next = std::next(at);
+  if (next != periods.end() && next->begin_ns - at->end_ns <= kPeriodPause_ns) {
+    at->end_ns = std::max(at->end_ns, next->end_ns);
+    periods.erase(next);
+  }
+}
+
+void RegisteredSource::AddRobot(const std::string& robot) {
+  const auto at = std::lower_bound(robots.begin(), robots.end(), robot);
+  if ((at == robots.end() || *at != robot) && robots.size() < kMaxRobots) robots.insert(at, robot);
+}
+
+void RegisteredSource::TakeHistory(const RegisteredSource& from) {
+  found.first_heard_ns = std::min(found.first_heard_ns, from.found.first_heard_ns);
+  found.last_heard_ns = std::max(found.last_heard_ns, from.found.last_heard_ns);
+  for (const std::string& robot : from.robots) AddRobot(robot);
+  for (const HeardPeriod& period : from.heard) {
+    // A pause at a time: the ends alone would leave a hole.
+    for (frames::TimeNs t = period.begin_ns; t < period.end_ns; t += kPeriodPause_ns) AddHeard(t);
+    AddHeard(period.end_ns);
+  }
+}
+
+bool SoundAlike(const RegisteredSource& a, const RegisteredSource& b) {
+  const auto spectrum_a = a.Spectrum_db();
+  const auto spectrum_b = b.Spectrum_db();
+  int bands = 0;
+  double squares = 0.0;
+  for (int band = 0; band < frames::kOctaveBands; ++band) {
+    if (!spectrum_a[band] || !spectrum_b[band]) continue;
+    ++bands;
+    squares += (*spectrum_a[band] - *spectrum_b[band]) * (*spectrum_a[band] - *spectrum_b[band]);
+  }
+  return bands >= kMinAlikeBands && std::sqrt(squares / bands) <= kMaxUnlike_db;
+}
+
+}  // namespace soundmap::sound_map

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "frames/octave_bands.h"
+#include "sound_map/sound_sources.h"
+
+namespace soundmap::sound_map {
+
+enum class SourceState : std::uint8_t {
+  kActive,  // heard when it was last listened to
+  kSilent,  // was sure, was listened to since and is not heard
+  kGone,    // silent for so long that it counts as removed
+};
+
+// Capture time in which a source was heard, with pauses of at most a minute.
+struct HeardPeriod {
+  frames::TimeNs begin_ns = 0;
+  frames::TimeNs end_ns = 0;
+
+  bool operator==(const HeardPeriod&) const = default;
+};
+
+// A peak of the sound's power in one scan, where its direction meets a surface.
+struct HeardPeak {
+  Eigen::Vector3d place_in_map_m = Eigen::Vector3d::Zero();
+  frames::BandPowers power_at_1m{};  // single scans scatter, also below 0: take means
+
+  bool operator==(const HeardPeak&) const = default;
+};
+
+// Where a robot stood that heard a source, and how loud it was from there.
+struct ViewPoint {
+  Eigen::Vector2d place_in_map_m = Eigen::Vector2d::Zero();
+  std::int64_t level_scans = 0;                            // with a peak at the source
+  std::array<double, frames::kOctaveBands> power_at_1m{};  // sum over these
+
+  bool operator==(const ViewPoint&) const = default;
+};
+
+// A sound source as an object that lasts.
+struct RegisteredSource {
+  SoundSource found;  // as it was last found, but for the id, which stays
+  SourceState state = SourceState::kActive;
+  Eigen::Matrix3d position_covariance_m2 = Eigen::Matrix3d::Zero();
+  frames::TimeNs last_listened_ns = 0;  // newest scan that reached its place, heard or not
+  std::vector<std::string> robots;      // that heard it, by name
+  std::vector<ViewPoint> view_points;   // thinned out
+  std::vector<HeardPeriod> heard;       // oldest first
+
+  // Median over the view points of the mean power, in dB, 0 dB being a full-scale square wave at
+  // 1 m. None in a band that was not measured or where the source does not stand out.
+  std::array<std::optional<double>, frames::kOctaveBands> Spectrum_db() const;
+  // Of the bands together.
+  std::optional<double> Level_db() const;
+
+  // A time at which it was heard. The newest periods are kept.
+  void AddHeard(frames::TimeNs time_ns);
+  void AddRobot(const std::string& robot);
+  // It and the other one are one: what is known of when and by whom it was heard.
+  void TakeHistory(const RegisteredSource& from);
+
+  bool operator==(const RegisteredSource&) const = default;
+};
+
+// Whether their levels agree in the octave bands that both have; not without such bands.
+bool SoundAlike(const RegisteredSource& a, const RegisteredSource& b);
+
+}  // namespace soundmap::sound_map

@@ -1,0 +1,390 @@
+#include "sound_map/source_register.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <optional>
+#include <random>
+
+#include "sound_map/sound_map.h"
+
+namespace soundmap::sound_map {
+namespace {
+
+constexpr double kVoxel_m = 0.05;
+constexpr double kHeight_m = 2.7;
+constexpr frames::TimeNs kScan_ns = 125'000'000;
+
+// A source in a ceiling of 6 x 4 m, and when it is on.
+struct Emitter {
+  Eigen::Vector2d place_m;
+  double heard_share = 0.9;  // of the scans while it is on
+  std::function<bool(frames::TimeNs)> on = [](frames::TimeNs) { return true; };
+  double level_db = 0.0;  // over the others
+};
+
+using Emitters = std::vector<Emitter>;
+
+// What a robot hears that drives up and down below, seeing all of the ceiling: each peak lands some
+// centimetres beside its source.
+class Room {
+ public:
+  explicit Room(std::vector<Emitter> emitters, unsigned seed = 7)
+      : emitters_(std::move(emitters)), random_(seed) {}
+
+  EvidenceScan Hear(frames::TimeNs stamp_ns) {
+    std::vector<Eigen::Vector2d> peaks;
+    heard.clear();
+    for (const Emitter& emitter : emitters_) {
+      const Eigen::Vector2d peak =
+          emitter.place_m + 0.06 * Eigen::Vector2d(normal_(random_), normal_(random_));
+      if (!(share_(random_) < emitter.heard_share && emitter.on(stamp_ns))) continue;
+      peaks.push_back(peak);
+      HeardPeak& level = heard.emplace_back();
+      level.place_in_map_m << peak, kHeight_m;
+      // Single scans scatter by half their mean.
+      for (int band = 0; band < 5; ++band) {
+        level.power_at_1m[band] = static_cast<float>(
+            1e-3 * std::pow(10.0, emitter.level_db / 10.0) * (1.0 + 0.5 * normal_(random_)));
+      }
+    }
+    EvidenceScan scan;
+    scan.stamp_ns = stamp_ns;
+    for (double x = 0.025; x < 6.0; x += kVoxel_m) {
+      for (double y = 0.025; y < 4.0; y += kVoxel_m) {
+        float likelihood = 0.4f;
+        for (const Eigen::Vector2d& peak : peaks) {
+          const double distance_m = (Eigen::Vector2d(x, y) - peak).norm();
+          if (distance_m < 0.1) likelihood = 0.9f;
+          if (distance_m < 0.35) likelihood = std::max(likelihood, 0.5f);
+        }
+        scan.end_points.push_back(
+            {*geometry::KeyFromPoint(Eigen::Vector3d(x, y, kHeight_m), kVoxel_m), likelihood});
+      }
+    }
+    return scan;
+  }
+
+  std::vector<HeardPeak> heard;  // in the last scan
+
+  static Eigen::Vector2d RobotAt(frames::TimeNs stamp_ns, double y_m) {
+    const double t_s = frames::SecondsFromNs(stamp_ns);
+    return {3.0 + 2.0 * std::sin(0.2 * t_s), y_m};
+  }
+
+ private:
+  std::vector<Emitter> emitters_;
+  std::mt19937 random_;
+  std::normal_distribution<double> normal_;
+  std::uniform_real_distribution<double> share_;
+};
+
+// Map and register as a site has them.
+class Listener {
+ public:
+  void Take(const EvidenceScan& scan, const std::string& robot = "r1",
+            const std::vector<HeardPeak>* peaks = nullptr, double robot_y_m = 2.0) {
+    ASSERT_TRUE(map_->Apply(scan).ok());
+    sources_.Observe({robot, Room::RobotAt(scan.stamp_ns, robot_y_m), &scan, peaks});
+    if (!sources_.due()) return;
+    for (SourceEvent& event :
+         sources_.Update(FindSoundSources(*map_->TakeSnapshot(), config_.sources))) {
+      events_.push_back(std::move(event));
+    }
+  }
+  void Hear(Room& room, double from_s, double to_s, const std::string& robot = "r1",
+            double robot_y_m = 2.0) {
+    for (frames::TimeNs t = frames::NsFromSeconds(from_s); t < frames::NsFromSeconds(to_s);
+         t += kScan_ns) {
+      Take(room.Hear(t), robot, &room.heard, robot_y_m);
+    }
+  }
+
+  std::vector<RegisteredSource> Sources() const { return sources_.Sources(); }
+  const RegisteredSource* Near(const Eigen::Vector2d& place_m) {
+    shown_ = Sources();
+    for (const RegisteredSource& source : shown_) {
+      if ((source.found.position_in_map_m.head<2>() - place_m).norm() < 0.3) return &source;
+    }
+    return nullptr;
+  }
+  int Count(SourceEvent::Kind kind) const {
+    return static_cast<int>(std::count_if(events_.begin(), events_.end(),
+                                          [kind](const SourceEvent& e) { return e.kind == kind; }));
+  }
+  SourceRegister& sources() { return sources_; }
+  const std::vector<SourceEvent>& events() const { return events_; }
+
+ private:
+  const SoundMapConfig config_ = DefaultConfig();
+  const std::unique_ptr<SoundMap> map_ = SoundMap::Create(config_).value();
+  SourceRegister sources_{config_};
+  std::vector<SourceEvent> events_;
+  std::vector<RegisteredSource> shown_;
+};
+
+using Kind = SourceEvent::Kind;
+
+TEST(SourceRegister, ASourceIsOneObjectWhileMoreIsHeard) {
+  Room room(Emitters{{{0.8, 0.9}}, {{4.1, 3.0}, /*heard_share=*/0.4}});
+  Listener listener;
+  listener.Hear(room, 0, 20);
+  ASSERT_EQ(listener.Sources().size(), 2u);
+  const std::uint64_t strong = listener.Near({0.8, 0.9})->found.id;
+  const std::uint64_t weak = listener.Near({4.1, 3.0})->found.id;
+  listener.Hear(room, 20, 60);
+  ASSERT_EQ(listener.Sources().size(), 2u);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->found.id, strong);
+  const RegisteredSource source = *listener.Near({4.1, 3.0});
+  EXPECT_EQ(source.found.id, weak);
+  EXPECT_EQ(source.state, SourceState::kActive);
+  EXPECT_EQ(source.robots, std::vector<std::string>{"r1"});
+  // The robot covers 4 m: the view points lie a metre apart.
+  EXPECT_GE(source.view_points.size(), 3u);
+  EXPECT_LE(source.view_points.size(), 5u);
+  ASSERT_EQ(source.heard.size(), 1u);
+  EXPECT_LT(source.heard[0].begin_ns, frames::NsFromSeconds(10));
+  EXPECT_GT(source.heard[0].end_ns, frames::NsFromSeconds(55));
+  EXPECT_EQ(listener.events().size(), 2u);
+  EXPECT_EQ(listener.Count(Kind::kAppeared), 2);
+  // The error of a single scan is 0.06 m an axis, beside the voxels' own.
+  const double sigma_m = std::sqrt(source.position_covariance_m2(0, 0));
+  EXPECT_LT(sigma_m, 0.06);
+  EXPECT_GE(sigma_m, kVoxel_m / std::sqrt(12.0));
+  EXPECT_NEAR(source.position_covariance_m2(2, 2), kVoxel_m * kVoxel_m / 12.0, 1e-9);
+}
+
+TEST(SourceRegister, ASourceThatStopsIsSilentWithinAMinuteAndComesBack) {
+  const auto on = [](frames::TimeNs t) {
+    return t < frames::NsFromSeconds(40) || t >= frames::NsFromSeconds(120);
+  };
+  Room room(Emitters{{{0.8, 0.9}, 0.9, on}, {{2.8, 1.2}, 0.4, on}, {{4.8, 3.0}}});
+  Listener listener;
+  listener.Hear(room, 0, 39);
+  for (const RegisteredSource& source : listener.Sources()) {
+    EXPECT_EQ(source.state, SourceState::kActive);
+  }
+  const std::uint64_t id = listener.Near({0.8, 0.9})->found.id;
+  listener.Hear(room, 39, 100);
+  ASSERT_NE(listener.Near({2.8, 1.2}), nullptr);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kSilent);
+  EXPECT_EQ(listener.Near({2.8, 1.2})->state, SourceState::kSilent);
+  EXPECT_EQ(listener.Near({4.8, 3.0})->state, SourceState::kActive);
+  EXPECT_GT(listener.Near({0.8, 0.9})->found.probability, 0.9);
+  EXPECT_EQ(listener.Count(Kind::kFellSilent), 2);
+  listener.Hear(room, 120, 160);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->found.id, id);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kActive);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->heard.size(), 2u);
+  EXPECT_EQ(listener.Count(Kind::kActiveAgain), 2);
+  EXPECT_EQ(listener.Count(Kind::kAppeared), 3);
+  EXPECT_EQ(listener.Count(Kind::kVanished), 0);
+  EXPECT_EQ(listener.Sources().size(), 3u);
+}
+
+// Nobody listens: nothing is known to have changed.
+TEST(SourceRegister, WhatIsNotListenedToDoesNotFallSilent) {
+  Room room(Emitters{{{0.8, 0.9}}, {{4.8, 3.0}}});
+  Listener listener;
+  listener.Hear(room, 0, 30);
+  for (double t_s = 30; t_s < 200; t_s += 0.125) {
+    EvidenceScan scan = room.Hear(frames::NsFromSeconds(t_s));
+    std::erase_if(scan.end_points, [](const EndPoint& end_point) {
+      return geometry::PointFromKey(end_point.key, kVoxel_m).x() < 3.0;
+    });
+    listener.Take(scan);
+  }
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kActive);
+  EXPECT_LT(listener.Near({0.8, 0.9})->last_listened_ns, frames::NsFromSeconds(30));
+}
+
+// From far away it is not heard, though its place is seen.
+TEST(SourceRegister, SilenceIsJudgedFromWhereItWasHeardBefore) {
+  const auto on = [](frames::TimeNs t) { return t < frames::NsFromSeconds(30); };
+  Room room(Emitters{{{0.8, 0.9}, 0.9, on}});
+  Listener listener;
+  listener.Hear(room, 0, 30);
+  listener.Hear(room, 30, 130, "r1", /*robot_y_m=*/9.0);
+  ASSERT_NE(listener.Near({0.8, 0.9}), nullptr);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kActive);
+  EXPECT_GT(listener.Near({0.8, 0.9})->last_listened_ns, frames::NsFromSeconds(129));
+  listener.Hear(room, 130, 190);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kSilent);
+}
+
+TEST(SourceRegister, LongSilenceIsGoneAndALateRecordingChangesHistoryAlone) {
+  const auto on = [](frames::TimeNs t) { return t < frames::NsFromSeconds(1040); };
+  Room room(Emitters{{{0.8, 0.9}, 0.9, on}});
+  Listener listener;
+  listener.Hear(room, 1000, 1060);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kSilent);
+  // An hour of driving elsewhere does not count, but ten minutes of listening do.
+  listener.Hear(room, 4600, 5150);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kSilent);
+  listener.Hear(room, 5150, 5250);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kGone);
+  EXPECT_EQ(listener.Count(Kind::kVanished), 1);
+  // What another robot recorded when it was on arrives now.
+  listener.Hear(room, 500, 530, "r2");
+  EXPECT_EQ(listener.Near({0.8, 0.9})->state, SourceState::kGone);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->heard.size(), 2u);
+  EXPECT_EQ(listener.Near({0.8, 0.9})->robots, (std::vector<std::string>{"r1", "r2"}));
+}
+
+// Two drives, between which a source was carried 3 m.
+TEST(SourceRegister, ASourceThatWasMovedKeepsItsNameAtItsNewPlace) {
+  const Eigen::Vector2d old_place(1.2, 1.0);
+  const Eigen::Vector2d new_place(4.2, 1.0);
+  Room before(Emitters{{old_place}, {{4.8, 3.2}}});
+  Room after(Emitters{{new_place}, {{4.8, 3.2}}}, 8);
+  Listener listener;
+  listener.Hear(before, 0, 60);
+  const std::uint64_t id = listener.Near(old_place)->found.id;
+  const std::uint64_t other = listener.Near({4.8, 3.2})->found.id;
+  listener.Hear(after, 1000, 1060);
+  EXPECT_EQ(listener.Near(old_place), nullptr);
+  ASSERT_NE(listener.Near(new_place), nullptr);
+  EXPECT_EQ(listener.Near(new_place)->found.id, id);
+  EXPECT_EQ(listener.Near(new_place)->state, SourceState::kActive);
+  EXPECT_EQ(listener.Near(new_place)->heard.size(), 2u);
+  EXPECT_LT(listener.Near(new_place)->found.first_heard_ns, frames::NsFromSeconds(20));
+  EXPECT_EQ(listener.Near({4.8, 3.2})->found.id, other);
+  EXPECT_EQ(listener.Sources().size(), 2u);
+  ASSERT_EQ(listener.Count(Kind::kMoved), 1);
+  for (const SourceEvent& event : listener.events()) {
+    if (event.kind != Kind::kMoved) continue;
+    EXPECT_LT((event.from_in_map_m.head<2>() - old_place).norm(), 0.05);
+    EXPECT_NE(event.other_id, id);
+  }
+  // Another one where it was is another one.
+  Room both(Emitters{{old_place}, {new_place}, {{4.8, 3.2}}}, 9);
+  listener.Hear(both, 2000, 2060);
+  EXPECT_EQ(listener.Sources().size(), 3u);
+  EXPECT_EQ(listener.Near(new_place)->found.id, id);
+  EXPECT_NE(listener.Near(old_place)->found.id, id);
+}
+
+// Where nobody was before, it may have been all the time.
+TEST(SourceRegister, OneThatIsFoundInANewPlaceHasNotMoved) {
+  Room before(Emitters{{{1.2, 1.0}}});
+  Room silent(Emitters{});
+  Room after(Emitters{{{4.2, 1.0}}}, 8);
+  Listener listener;
+  listener.Hear(before, 0, 60);
+  listener.Hear(silent, 60, 120);
+  listener.Hear(after, 200, 260, "r1", /*robot_y_m=*/9.0);
+  EXPECT_EQ(listener.Sources().size(), 2u);
+  EXPECT_EQ(listener.Near({1.2, 1.0})->state, SourceState::kSilent);
+  EXPECT_EQ(listener.Count(Kind::kMoved), 0);
+}
+
+// It sounds otherwise, or both have been heard at one time: another source.
+TEST(SourceRegister, OneThatStopsAndAnotherThatStartsAreTwo) {
+  Room before(Emitters{{{1.2, 1.0}}});
+  Room both(Emitters{{{1.2, 1.0}}, {{4.2, 1.0}}});
+  Room after(Emitters{{{4.2, 1.0}}}, 8);
+  Room louder(Emitters{{.place_m = {4.2, 1.0}, .level_db = 12.0}}, 8);
+  Listener overlapping;
+  overlapping.Hear(before, 0, 30);
+  overlapping.Hear(both, 30, 60);
+  overlapping.Hear(after, 60, 120);
+  EXPECT_EQ(overlapping.Sources().size(), 2u);
+  EXPECT_EQ(overlapping.Near({1.2, 1.0})->state, SourceState::kSilent);
+  Listener unlike;
+  unlike.Hear(before, 0, 60);
+  unlike.Hear(louder, 60, 120);
+  EXPECT_EQ(unlike.Sources().size(), 2u);
+  EXPECT_EQ(overlapping.Count(Kind::kMoved) + unlike.Count(Kind::kMoved), 0);
+  EXPECT_NEAR(*unlike.Near({1.2, 1.0})->Level_db(), 10.0 * std::log10(5e-3), 0.5);
+  EXPECT_NEAR(*unlike.Near({4.2, 1.0})->Level_db(), 10.0 * std::log10(5e-3) + 12.0, 0.5);
+}
+
+TEST(SourceRegister, TwoRobotsAtOnceOrOneAfterTheOtherFindTheSame) {
+  const std::vector<Emitter> emitters = {{{0.8, 0.9}}, {{4.1, 3.0}, /*heard_share=*/0.4}};
+  Room first(emitters, 1);
+  Room second(emitters, 2);
+  Listener after;
+  after.Hear(first, 0, 40, "r1");
+  after.Hear(second, 40, 80, "r2");
+  Room third(emitters, 1);
+  Room fourth(emitters, 2);
+  Listener at_once;
+  for (double t_s = 0; t_s < 40; t_s += 0.125) {
+    at_once.Take(third.Hear(frames::NsFromSeconds(t_s)), "r1");
+    at_once.Take(fourth.Hear(frames::NsFromSeconds(t_s) + 30'000'000), "r2");
+  }
+  ASSERT_EQ(after.Sources().size(), 2u);
+  ASSERT_EQ(at_once.Sources().size(), 2u);
+  for (const Emitter& emitter : emitters) {
+    const RegisteredSource* a = after.Near(emitter.place_m);
+    const RegisteredSource* b = at_once.Near(emitter.place_m);
+    ASSERT_NE(a, nullptr);
+    ASSERT_NE(b, nullptr);
+    EXPECT_LT((a->found.position_in_map_m - b->found.position_in_map_m).norm(), 0.03);
+    EXPECT_EQ(a->robots, b->robots);
+    EXPECT_EQ(a->state, b->state);
+  }
+}
+
+// A register that is restored goes on as the one that was saved.
+TEST(SourceRegister, GoesOnFromItsState) {
+  const auto on = [](frames::TimeNs t) { return t < frames::NsFromSeconds(20); };
+  Room room(Emitters{{{0.8, 0.9}, 0.9, on}, {{4.1, 3.0}, 0.4}});
+  Room same(Emitters{{{0.8, 0.9}, 0.9, on}, {{4.1, 3.0}, 0.4}});
+  Listener undisturbed;
+  Listener interrupted;
+  undisturbed.Hear(room, 0, 40);
+  interrupted.Hear(same, 0, 17.3);
+  SourceRegister::State state = interrupted.sources().state();
+  interrupted.sources() = SourceRegister(DefaultConfig());
+  interrupted.sources().Restore(std::move(state));
+  // The generator goes on; the scan times must meet those of the other.
+  interrupted.Hear(same, 17.375, 40);
+  EXPECT_EQ(interrupted.Sources(), undisturbed.Sources());
+}
+
+SoundSource Found(std::uint64_t id, double x_m, double probability, frames::TimeNs first_ns) {
+  SoundSource source;
+  source.id = id;
+  source.position_in_map_m = {x_m, 1.0, 2.7};
+  source.probability = probability;
+  source.first_heard_ns = first_ns;
+  source.last_heard_ns = first_ns + 1;
+  return source;
+}
+
+TEST(SourceRegister, TwoThatBecomeOneKeepTheOlderNameAndASplitGivesANewOne) {
+  SourceRegister sources(DefaultConfig());
+  EXPECT_EQ(sources.Update({Found(1, 1.0, 0.9, 100), Found(2, 1.6, 0.95, 50)}).size(), 2u);
+  // Only one is found any more, nearer to the younger.
+  auto events = sources.Update({Found(9, 1.2, 0.95, 100)});
+  ASSERT_EQ(events.size(), 1u);
+  EXPECT_EQ(events[0].kind, Kind::kMerged);
+  EXPECT_EQ(events[0].source.found.id, 1u);
+  EXPECT_EQ(events[0].other_id, 2u);
+  ASSERT_EQ(sources.Sources().size(), 1u);
+  EXPECT_EQ(sources.Sources()[0].found.id, 2u);
+  // A second one beside it: the nearer keeps the name, the other is new, though its voxel was
+  // known.
+  events = sources.Update({Found(2, 1.7, 0.9, 50), Found(8, 1.15, 0.9, 50)});
+  ASSERT_EQ(events.size(), 1u);
+  EXPECT_EQ(events[0].kind, Kind::kAppeared);
+  EXPECT_NE(events[0].source.found.id, 2u);
+  EXPECT_NEAR(events[0].source.found.position_in_map_m.x(), 1.7, 1e-12);
+}
+
+TEST(SourceRegister, WhatWasNeverSureIsForgotten) {
+  SourceRegister sources(DefaultConfig());
+  EXPECT_TRUE(sources.Update({Found(1, 1.0, 0.3, 100)}).empty());
+  EXPECT_EQ(sources.Sources().size(), 1u);
+  EXPECT_TRUE(sources.Update({}).empty());
+  EXPECT_TRUE(sources.Sources().empty());
+  EXPECT_EQ(sources.Update({Found(1, 1.0, 0.6, 100)}).size(), 1u);
+  const auto events = sources.Update({});
+  ASSERT_EQ(events.size(), 1u);
+  EXPECT_EQ(events[0].kind, Kind::kVanished);
+}
+
+}  // namespace
+}  // namespace soundmap::sound_map
