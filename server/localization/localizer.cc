@@ -170,6 +170,7 @@ LocalizerState Localizer::state() const {
 }
 
 std::vector<PoseEstimate> Localizer::Add(const frames::Odometry& odometry) {
+  learnt_since_ns_.reset();
   if (!IsFinite(odometry.odom_from_base) ||
       (memory_.raw_odometry && odometry.stamp_ns <= memory_.raw_odometry->stamp_ns)) {
     ++memory_.counters.odometry_ignored;
@@ -212,6 +213,7 @@ void Localizer::Forget() {
 }
 
 std::vector<PoseEstimate> Localizer::Add(const frames::LaserScan& scan) {
+  learnt_since_ns_.reset();
   if (scan.range_m.empty() || scan.range_m.size() > kMaxBeamsOfScan ||
       !std::isfinite(scan.start_angle_rad) || !std::isfinite(scan.angle_increment_rad)) {
     ++memory_.counters.scans_empty;

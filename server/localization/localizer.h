@@ -137,6 +137,9 @@ class Localizer {
   // odometry of a robot without a start: the smallest number. None: all is final.
   std::optional<frames::TimeNs> lost_since_ns() const { return memory_.lost_since_ns; }
 
+  // If the last Add() learnt where the robot had been: since when At() and Path() are others.
+  std::optional<frames::TimeNs> learnt_since_ns() const { return learnt_since_ns_; }
+
   // A robot that stands gets no corrections: once the scans up to a time were looked at, waiting
   // longer for that time is of use only if it drives on.
   std::optional<frames::TimeNs> newest_correction_ns() const;
@@ -185,6 +188,7 @@ class Localizer {
   std::mt19937_64 engine_;
   std::deque<frames::LaserScan> waiting_scans_;
   PoseHistory history_;
+  std::optional<frames::TimeNs> learnt_since_ns_;
   std::deque<KeptScan> kept_scans_;
   Health health_;
   frames::LaserLag lag_;

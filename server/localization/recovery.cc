@@ -199,11 +199,15 @@ std::vector<const KeptScan*> Localizer::RecentScans() const {
 
 void Localizer::Keep(KeptScan scan) {
   kept_scans_.push_back(std::move(scan));
-  if (!memory_.lost_since_ns) {
-    while (kept_scans_.size() > kKeptWhileTracking) kept_scans_.pop_front();
-    return;
-  }
-  while (kept_scans_.size() > static_cast<std::size_t>(plan_->config.search.max_kept_scans)) {
+  // A robot that searches may learn that it has been elsewhere since the search began.
+  const auto limit = memory_.lost_since_ns || memory_.searching
+                         ? static_cast<std::size_t>(plan_->config.search.max_kept_scans)
+                         : kKeptWhileTracking;
+  while (kept_scans_.size() > limit) {
+    if (!memory_.lost_since_ns) {
+      kept_scans_.pop_front();
+      continue;
+    }
     if (kept_scans_.front().stamp_ns >= *memory_.lost_since_ns) {
       ++memory_.counters.scans_given_up;
     }
@@ -218,6 +222,7 @@ void Localizer::ContinueLookBack(int max_scans) {
   const frames::TimeNs end_ns = look_back.found.front().estimate.stamp_ns;
   std::reverse(look_back.found.begin(), look_back.found.end());
   history_.Replace(*memory_.lost_since_ns, end_ns, look_back.found);
+  learnt_since_ns_ = std::min(*memory_.lost_since_ns, learnt_since_ns_.value_or(end_ns));
   memory_.look_back.reset();
   memory_.lost_since_ns.reset();
 }

@@ -277,11 +277,10 @@ template <typename SensorFrame>
 void Listening::State::Localize(const SensorFrame& frame, Output& output) {
   if constexpr (std::is_same_v<SensorFrame, frames::Odometry> ||
                 std::is_same_v<SensorFrame, frames::LaserScan>) {
-    const std::optional<frames::TimeNs> lost_since_ns = localizer.lost_since_ns();
     const std::vector<localization::PoseEstimate> corrections = localizer.Add(frame);
-    if (lost_since_ns && localizer.lost_since_ns() != lost_since_ns) {
-      // Found: where it was meanwhile, instead of the guesses.
-      output.path = localizer.Path(*lost_since_ns, frame.stamp_ns);
+    if (const auto learnt_since_ns = localizer.learnt_since_ns()) {
+      // Where it was meanwhile, instead of the guesses.
+      output.path = localizer.Path(*learnt_since_ns, frame.stamp_ns);
     }
     output.path.insert(output.path.end(), corrections.begin(), corrections.end());
   }

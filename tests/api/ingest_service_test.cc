@@ -89,6 +89,12 @@ class Call {
   void Send(std::int64_t offset, const std::vector<v1::Frame>& frames) {
     Send(ChunkOf(offset, frames));
   }
+  // Until the robot may send.
+  std::optional<v1::IngestResponse> AwaitWelcome() {
+    auto welcome = Await(v1::IngestResponse::kWelcome);
+    if (welcome) Await(v1::IngestResponse::kCredit);
+    return welcome;
+  }
   // The next answer of the kind; none when the call ends before.
   std::optional<v1::IngestResponse> Await(v1::IngestResponse::MessageCase kind) {
     v1::IngestResponse response;
@@ -189,7 +195,7 @@ class IngestServiceTest : public ::testing::Test {
 
 TEST_F(IngestServiceTest, CodedFramesAreLoggedAsTheMessagesThatTheyStandFor) {
   Call call(*stub_, epoch());
-  const auto welcome = call.Await(v1::IngestResponse::kWelcome);
+  const auto welcome = call.AwaitWelcome();
   ASSERT_TRUE(welcome);
   EXPECT_THAT(welcome->welcome().codings(),
               ::testing::UnorderedElementsAre(v1::CODING_FLAC, v1::CODING_POINTS, v1::CODING_ZSTD));
@@ -222,7 +228,7 @@ TEST_F(IngestServiceTest, CodedFramesAreLoggedAsTheMessagesThatTheyStandFor) {
 TEST_F(IngestServiceTest, AFrameSentAgainMayBeCodedOtherwiseButNotDiffer) {
   {
     Call call(*stub_, epoch());
-    call.Await(v1::IngestResponse::kWelcome);
+    call.AwaitWelcome();
     call.Send(0, {FrameOf(Audio(1), true)});
     call.AwaitReceived(1);
     call.Send(0, {FrameOf(Audio(1), false), FrameOf(Audio(2), false)});
@@ -234,7 +240,7 @@ TEST_F(IngestServiceTest, AFrameSentAgainMayBeCodedOtherwiseButNotDiffer) {
   request_.session = "e";
   const std::int64_t epoch = NextEpoch();
   Call call(*stub_, epoch, "e");
-  call.Await(v1::IngestResponse::kWelcome);
+  call.AwaitWelcome();
   call.Send(0, {FrameOf(Audio(1), true)});
   call.Send(0, {FrameOf(Audio(2), true)});
   EXPECT_EQ(call.End().error_code(), grpc::StatusCode::DATA_LOSS);
@@ -304,7 +310,7 @@ TEST_F(IngestServiceTest, MoreThanTheCreditIsRefusedWithATimeToTryAgain) {
 
 TEST_F(IngestServiceTest, AGapIsAskedForOnce) {
   Call call(*stub_, epoch());
-  call.Await(v1::IngestResponse::kWelcome);
+  call.AwaitWelcome();
   call.Send(2, {FrameOf(Audio(2), true)});
   call.Send(3, {FrameOf(Audio(3), true)});
   const auto rewind = call.Await(v1::IngestResponse::kRewind);
@@ -319,12 +325,12 @@ TEST_F(IngestServiceTest, AGapIsAskedForOnce) {
 
 TEST_F(IngestServiceTest, ANewerEpochFencesTheOlderOne) {
   Call old(*stub_, epoch());
-  old.Await(v1::IngestResponse::kWelcome);
+  old.AwaitWelcome();
   old.Send(0, {FrameOf(Audio(0), true)});
   old.AwaitReceived(1);
   const std::int64_t newer = NextEpoch();
   Call young(*stub_, newer);
-  const auto welcome = young.Await(v1::IngestResponse::kWelcome);
+  const auto welcome = young.AwaitWelcome();
   ASSERT_TRUE(welcome);
   EXPECT_EQ(welcome->welcome().resume_offset(), 1);
   old.Send(1, {FrameOf(Audio(7), true)});
@@ -338,7 +344,7 @@ TEST_F(IngestServiceTest, ANewerEpochFencesTheOlderOne) {
 
 TEST_F(IngestServiceTest, AStoppingServerSaysDrainAndEndsTheStream) {
   Call call(*stub_, epoch());
-  call.Await(v1::IngestResponse::kWelcome);
+  call.AwaitWelcome();
   service_->Drain();
   EXPECT_TRUE(call.Await(v1::IngestResponse::kDrain));
   EXPECT_EQ(call.End().error_code(), grpc::StatusCode::UNAVAILABLE);

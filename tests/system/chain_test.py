@@ -46,7 +46,7 @@ class ChainTest(ProgramTest):
         truth = [DRIVES / "short.truth.json", DRIVES / "short.mcap"]
         before = self.full_map(server)
         tuned = json.loads(self.ok(server, "soundmap", "tune", "--case", "site", *truth, "--vary",
-                                   "default.acoustics.threshold_spreads=6.5,40", "--profiles", "default", "--format", "json"))
+                                   "default.ray_casting.max_range_m=6,0.1", "--profiles", "default", "--format", "json"))
         same, deaf = tuned["sets"]
         evaluated = json.loads(self.ok(server, "soundmap", "evaluate", "site", "--truth", truth[0], "--drive", truth[1]))
         self.assertEqual(same["sources"], evaluated["sources"])

@@ -1,5 +1,6 @@
 """Bad input is normal input: one clear sentence or the stated behaviour, the right exit status, the server alive, the map unharmed."""
 
+import json
 import os
 import random
 import shutil
@@ -88,11 +89,17 @@ class HostileInputTest(ProgramTest):
     def test_sensors_that_see_nothing(self):
         site = self.other_site()
         empty = self.full_map(self.running, site)
-        for drive in ("nan_ranges", "invalid_lidar", "dead_microphone"):
+        for drive in ("nan_ranges", "invalid_lidar"):
             with self.subTest(drive):
                 self.replay(self.running, DRIVES / f"{drive}.mcap", site=site, robot=drive.replace("_", "-"), pose_of=SHORT)
                 self.assertEqual(self.full_map(self.running, site), empty)
         self.unharmed()
+
+    def test_a_dead_microphone_is_done_without_and_told(self):
+        site = self.other_site()
+        self.replay(self.running, DRIVES / "dead_microphone.mcap", site=site, pose_of=SHORT)
+        self.assertIn("without a dead microphone", self.ok(self.running, "soundmap", "sessions", site, "--format", "json"))
+        self.assertNotEqual(json.loads(self.sources_json(self.running, site))["sources"], [])
 
     def test_time_running_backwards(self):
         site = self.other_site()
