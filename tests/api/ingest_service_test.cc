@@ -279,6 +279,7 @@ TEST_F(IngestServiceTest, WhatDoesNotDecodeIsRefusedAndTheSessionGoesOn) {
   refused(bad, "2 channels");
 
   Call call(*stub_, NextEpoch());
+  call.AwaitWelcome();
   call.Send(0, {good});
   call.Finish(1);
   EXPECT_TRUE(call.End().ok());
