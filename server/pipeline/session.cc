@@ -390,7 +390,7 @@ void Session::Apply(Item item) {
   const std::int64_t offset = next_++;
   batch_bytes_ += item.payload_bytes;
   if (batch_first_ns_ == 0) batch_first_ns_ = item.log_time_ns;
-  batch_last_ns_ = item.log_time_ns;
+  batch_last_ns_ = std::max(batch_last_ns_, item.log_time_ns);  // the end has that of some frame
   if (std::holds_alternative<End>(item.content)) finished_ = true;
   if (!listening_) {
     heard_ = next_;
