@@ -14,7 +14,6 @@
 #include "absl/strings/str_cat.h"
 #include "api/decode_frame.h"
 #include "building/stored_building.h"
-#include "cli/evaluate.h"
 #include "cli/visibility.h"
 #include "mapping/mapper.h"
 #include "pipeline/listening.h"
@@ -28,9 +27,6 @@ namespace soundmap::acceptance {
 namespace {
 
 namespace fs = std::filesystem;
-
-constexpr double kMaxDistance_m = 1.0;  // of a detection from its true source
-constexpr double kLeastCandidate = 0.2;
 
 struct Drive {
   frames::Calibration calibration;
@@ -93,42 +89,6 @@ SoundSource ToReported(const sound_map::SoundSource& source) {
   return reported;
 }
 
-double Distance(const Vector3& a, const Vector3& b) {
-  return std::hypot(a.x - b.x, a.y - b.y, a.z - b.z);
-}
-
-// A candidate is a source when it is the one nearest to a true one.
-std::vector<Candidate> Judge(const std::vector<SoundSource>& reported,
-                             const std::vector<cli::TrueSource>& truth,
-                             const std::vector<bool>& in_view) {
-  std::vector<int> nearest(truth.size(), -1);
-  std::vector<double> distance_m(truth.size(), std::numeric_limits<double>::infinity());
-  std::vector<Candidate> candidates;
-  std::vector<int> true_of;
-  for (const SoundSource& source : reported) {
-    if (source.probability < kLeastCandidate) continue;
-    int best = -1;
-    double best_m = kMaxDistance_m;
-    for (std::size_t i = 0; i < truth.size(); ++i) {
-      const double d_m = Distance(source.position_in_map_m, truth[i].position_in_map_m);
-      if (d_m <= best_m) {
-        best_m = d_m;
-        best = static_cast<int>(i);
-      }
-    }
-    if (best >= 0 && !in_view[best]) continue;
-    if (best >= 0 && best_m < distance_m[best]) {
-      distance_m[best] = best_m;
-      nearest[best] = static_cast<int>(candidates.size());
-    }
-    candidates.push_back({source.probability, false});
-  }
-  for (const int i : nearest) {
-    if (i >= 0) candidates[i].is_source = true;
-  }
-  return candidates;
-}
-
 }  // namespace
 
 bool Trial::planar() const {
@@ -174,9 +134,8 @@ absl::StatusOr<Trial> RandomTrial(std::uint64_t seed, const RoomVariant& variant
     absl::StrAppend(&name, "_silent");
     json["sources"] = nlohmann::json::array();
     json["audio"]["robot_noise"] = 0.02;
+    json.erase("people");
   }
-  if (variant.people) absl::StrAppend(&name, "_people");
-  if (!variant.people && variant.silent) json.erase("people");
   if (variant.seconds) absl::StrAppend(&name, "_", std::lround(*variant.seconds), "s");
   const fs::path drive = fs::path(folder) / (name + ".mcap");
   const fs::path mapping = fs::path(folder) / absl::StrCat("room", seed, "_mapping.mcap");
@@ -312,7 +271,7 @@ absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& pro
     result.sources.push_back(
         {truth[i].kind, truth[i].level, in_view[i], score.error_mean_m, score.double_count});
   }
-  result.candidates = Judge(reported, truth, in_view);
+  result.candidates = cli::JudgeCandidates(reported, truth, in_view);
   return result;
 }
 
@@ -344,32 +303,6 @@ double Summary::ErrorQuantile(double share) const {
   if (below + 1 == errors_m.size()) return errors_m[below];
   return errors_m[below] +
          (rank - static_cast<double>(below)) * (errors_m[below + 1] - errors_m[below]);
-}
-
-double Summary::ExpectedCalibrationError() const {
-  constexpr std::size_t kBins = 10;
-  std::vector<Candidate> sorted = candidates;
-  std::stable_sort(sorted.begin(), sorted.end(), [](const Candidate& a, const Candidate& b) {
-    return a.probability < b.probability;
-  });
-  double error = 0.0;
-  for (std::size_t bin = 0; bin < kBins; ++bin) {
-    double balance = 0.0;  // of probability and of sources
-    for (std::size_t i = bin * sorted.size() / kBins; i < (bin + 1) * sorted.size() / kBins; ++i) {
-      balance += sorted[i].probability - (sorted[i].is_source ? 1.0 : 0.0);
-    }
-    error += std::abs(balance);
-  }
-  return sorted.empty() ? 0.0 : error / static_cast<double>(sorted.size());
-}
-
-double Summary::BrierScore() const {
-  double sum = 0.0;
-  for (const Candidate& candidate : candidates) {
-    const double off = candidate.probability - (candidate.is_source ? 1.0 : 0.0);
-    sum += off * off;
-  }
-  return candidates.empty() ? 0.0 : sum / static_cast<double>(candidates.size());
 }
 
 }  // namespace soundmap::acceptance

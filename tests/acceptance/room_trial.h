@@ -9,6 +9,7 @@
 #include "absl/status/statusor.h"
 #include "building/building.h"
 #include "cli/drive_truth.h"
+#include "cli/evaluate.h"
 #include "cli/truth_file.h"
 #include "frames/frames.h"
 #include "pipeline/profile.h"
@@ -38,7 +39,6 @@ absl::StatusOr<Trial> ReadTrial(const std::string& drive_path, const std::string
 // What is asked of a random scene beside its seed.
 struct RoomVariant {
   bool silent = false;            // no source, but noise: of microphones and of the robot itself
-  bool people = false;            // two people walk about
   std::optional<double> seconds;  // the drive ends then
 };
 
@@ -58,15 +58,10 @@ struct SourceResult {
   int doubles = 0;
 };
 
-struct Candidate {
-  double probability = 0.0;
-  bool is_source = false;
-};
-
 struct TrialResult {
   std::vector<SourceResult> sources;
   int false_count = 0;
-  std::vector<Candidate> candidates;  // of probability 0.2 or more
+  std::vector<cli::Candidate> candidates;
   std::vector<sound_map::SoundSource> found;
   std::vector<std::string> warnings;
   std::int64_t scans = 0;
@@ -87,16 +82,12 @@ struct Summary {
   int false_count = 0;
   int doubles = 0;
   std::vector<double> errors_m;  // sorted
-  std::vector<Candidate> candidates;
+  std::vector<cli::Candidate> candidates;
 
   void Add(const TrialResult& result);
   double recall() const;
   double precision() const;  // neither false nor double
   double ErrorQuantile(double share) const;
-  // Mean distance of probability and share of sources over ten bins of equal count, weighted by
-  // their count.
-  double ExpectedCalibrationError() const;
-  double BrierScore() const;
 };
 
 }  // namespace soundmap::acceptance

@@ -75,6 +75,7 @@ void Print(const Trial& trial, const TrialResult& result, bool details) {
 }
 
 ordered_json ToJson(const Summary& s) {
+  const cli::Calibration calibration = cli::Calibrate(s.candidates);
   return {{"sources", s.in_view},
           {"detected", s.detected},
           {"false", s.false_count},
@@ -84,17 +85,18 @@ ordered_json ToJson(const Summary& s) {
           {"error_median_m", s.ErrorQuantile(0.5)},
           {"error_p90_m", s.ErrorQuantile(0.9)},
           {"candidates", s.candidates.size()},
-          {"calibration_error", s.ExpectedCalibrationError()},
-          {"brier_score", s.BrierScore()}};
+          {"calibration_error", calibration.expected_error.value_or(0.0)},
+          {"brier_score", calibration.brier.value_or(0.0)}};
 }
 
 void Print(const char* name, const Summary& s) {
+  const cli::Calibration calibration = cli::Calibrate(s.candidates);
   std::printf(
       "%-8s recall %.3f (%d of %d)  precision %.3f (%d false, %d double)  error median %.3f "
       "p90 %.3f m  candidates %zu  calibration error %.3f  Brier %.3f\n",
       name, s.recall(), s.detected, s.in_view, s.precision(), s.false_count, s.doubles,
-      s.ErrorQuantile(0.5), s.ErrorQuantile(0.9), s.candidates.size(), s.ExpectedCalibrationError(),
-      s.BrierScore());
+      s.ErrorQuantile(0.5), s.ErrorQuantile(0.9), s.candidates.size(),
+      calibration.expected_error.value_or(0.0), calibration.brier.value_or(0.0));
 }
 
 absl::Status Main(const Arguments& arguments) {
