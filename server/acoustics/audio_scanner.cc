@@ -185,8 +185,12 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   tables->srp->Scan(spectra, scan_);
   Done(Step::kPower);
   const AudioScan& scan = scan_;
-  if (const auto* thresholds = std::get_if<DoubleThreshold>(&tables->config.evidence)) {
-    result.likelihood = DoubleThresholdLikelihood(scan.power, *thresholds);
+  if (!tables->finder) {
+    const auto* scaled = std::get_if<ScaledPower>(&tables->config.evidence);
+    result.likelihood = scaled != nullptr
+                            ? ScaledPowerLikelihood(scan.power, *scaled)
+                            : DoubleThresholdLikelihood(
+                                  scan.power, std::get<DoubleThreshold>(tables->config.evidence));
     Done(Step::kEvidence);
     return result;
   }

@@ -53,6 +53,16 @@ struct EvidenceCheck {
     status.Update(CheckProbability("p_max", evidence.p_max));
     return status;
   }
+  absl::Status operator()(const ScaledPower& evidence) const {
+    absl::Status status;
+    status.Update(CheckProbability("p_min", evidence.p_min));
+    status.Update(CheckProbability("p_max", evidence.p_max));
+    if (evidence.p_min > evidence.p_max) {
+      status.Update(
+          absl::InvalidArgumentError("acoustics.p_min must not be above acoustics.p_max"));
+    }
+    return status;
+  }
   absl::Status operator()(const PeakEvidence& evidence) const {
     absl::Status status;
     status.Update(CheckRange("threshold_spreads", evidence.threshold_spreads, 0.0, 1e3));

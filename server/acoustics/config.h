@@ -64,6 +64,16 @@ struct PeakEvidence {
   bool operator==(const PeakEvidence&) const = default;
 };
 
+// What section IV sets eq. (6) against, after its refs. [7] and [9]: a likelihood that grows with
+// the power, from p_min in the direction of the least power of the scan to p_max in that of the
+// most.
+struct ScaledPower {
+  double p_min = 0.05;
+  double p_max = 0.95;
+
+  bool operator==(const ScaledPower&) const = default;
+};
+
 // Sections III and IV. A default-constructed one is the profile `default`.
 struct AcousticsConfig {
   static AcousticsConfig Default() { return {}; }
@@ -79,7 +89,7 @@ struct AcousticsConfig {
   double f_max_hz = 4000.0;  // eq. (5), inclusive
   double speed_of_sound_mps = 343.0;
   std::variant<EqualAreaGrid, SectorGrid> grid;
-  std::variant<PeakEvidence, DoubleThreshold> evidence;
+  std::variant<PeakEvidence, DoubleThreshold, ScaledPower> evidence;
 
   absl::Status Validate() const;
   geometry::DirectionGrid MakeGrid() const;  // of a valid configuration

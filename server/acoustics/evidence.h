@@ -11,4 +11,8 @@ namespace soundmap::acoustics {
 std::vector<float> DoubleThresholdLikelihood(std::span<const float> power,
                                              const DoubleThreshold& evidence);
 
+// p_min + (p_max - p_min) (S - min S) / (max S - min S) for every direction; p_min where all powers
+// are equal.
+std::vector<float> ScaledPowerLikelihood(std::span<const float> power, const ScaledPower& evidence);
+
 }  // namespace soundmap::acoustics

@@ -175,7 +175,7 @@ struct Listening::State {
   const Profile& profile;
   StageClock* const clock;
   const frames::Calibration calibration;
-  std::shared_ptr<const localization::PreparedPlan> plan;
+  std::shared_ptr<const PreparedBuilding> building;
   localization::Localizer localizer;
   std::unique_ptr<acoustics::AudioScanner> scanner;  // null: the robot has no audio
   std::optional<ray_casting::RayCaster> caster;      // with the scanner
@@ -216,13 +216,13 @@ Listening::~Listening() = default;
 
 absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
     const Profile& profile, const frames::Calibration& calibration,
-    std::shared_ptr<const localization::PreparedPlan> plan,
+    std::shared_ptr<const PreparedBuilding> building,
     const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed, StageClock* clock) {
   std::optional<localization::InitialPose> start;
   if (initial_pose) start = localization::InitialPose{*initial_pose};
-  auto localizer = localization::Localizer::Create(plan, calibration, start, seed);
+  auto localizer = localization::Localizer::Create(building->plan, calibration, start, seed);
   if (!localizer.ok()) return localizer.status();
-  std::unique_ptr<State> state(new State{profile, clock, calibration, std::move(plan),
+  std::unique_ptr<State> state(new State{profile, clock, calibration, building,
                                          *std::move(localizer), nullptr, std::nullopt,
                                          frames::OdometryTrack()});
   if (!calibration.mic_in_array_m.empty() && calibration.audio_sample_rate_hz != 0) {
@@ -237,8 +237,9 @@ absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
                                           : Stage::kEvidence);
       });
     }
-    auto caster = ray_casting::RayCaster::Create(profile.ray_casting, state->scanner->grid(),
-                                                 calibration.base_from_array);
+    auto caster =
+        ray_casting::RayCaster::Create(profile.ray_casting, state->scanner->grid(),
+                                       calibration.base_from_array, building->surroundings);
     if (!caster.ok()) return caster.status();
     state->caster = *std::move(caster);
   }
@@ -405,21 +406,23 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
     return;
   }
   Lap(Stage::kSession);
-  const auto odom_from_audio_base = track.At(mid_ns);
-  if (!odom_from_audio_base || !View(mid_ns)) {
-    ++counters.scans_without_range;
-    return;
-  }
-  const auto odom_from_reference_base = track.Near(view_reference_ns, 1.0);
-  if (!odom_from_reference_base) {
-    ++counters.scans_without_range;
-    return;
-  }
   ray_casting::LidarView view;
-  view.reference_ns = view_reference_ns;
-  view.point_in_base = view_point_in_base;
-  view.reference_base_from_audio_base =
-      (odom_from_reference_base->Inverse() * *odom_from_audio_base).ToIsometry();
+  if (profile.ray_casting.range == ray_casting::RangeSource::kLidar) {
+    const auto odom_from_audio_base = track.At(mid_ns);
+    if (!odom_from_audio_base || !View(mid_ns)) {
+      ++counters.scans_without_range;
+      return;
+    }
+    const auto odom_from_reference_base = track.Near(view_reference_ns, 1.0);
+    if (!odom_from_reference_base) {
+      ++counters.scans_without_range;
+      return;
+    }
+    view.reference_ns = view_reference_ns;
+    view.point_in_base = view_point_in_base;
+    view.reference_base_from_audio_base =
+        (odom_from_reference_base->Inverse() * *odom_from_audio_base).ToIsometry();
+  }
   if (std::holds_alternative<acoustics::PeakEvidence>(profile.acoustics.evidence)) {
     ray_casting::MarkReflections(view, calibration.base_from_array, scanner->array_normal(),
                                  scan.peaks);
@@ -500,7 +503,8 @@ absl::Status Listening::RestoreState(const std::string& bytes) {
                                       lidar_scans, pending_scans, heard, counters);
   if (!read.ok()) return read;
   State& state = *state_;
-  auto localizer = localization::Localizer::Restore(state.plan, state.calibration, localizer_state);
+  auto localizer =
+      localization::Localizer::Restore(state.building->plan, state.calibration, localizer_state);
   if (!localizer.ok()) return localizer.status();
   if (state.scanner) {
     const absl::Status restored = state.scanner->Restore(std::move(scanner_state));

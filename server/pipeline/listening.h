@@ -10,6 +10,7 @@
 #include "acoustics/audio_scanner.h"
 #include "frames/odometry_track.h"
 #include "localization/localizer.h"
+#include "pipeline/prepared_building.h"
 #include "pipeline/profile.h"
 #include "pipeline/stage_times.h"
 #include "ray_casting/ray_caster.h"
@@ -56,7 +57,7 @@ class Listening {
   // Without an initial pose the robot may stand anywhere in the building.
   static absl::StatusOr<std::unique_ptr<Listening>> Create(
       const Profile& profile, const frames::Calibration& calibration,
-      std::shared_ptr<const localization::PreparedPlan> plan,
+      std::shared_ptr<const PreparedBuilding> building,
       const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed,
       StageClock* clock = nullptr);
   ~Listening();

@@ -1,5 +1,7 @@
 #include "pipeline/profile.h"
 
+#include <algorithm>
+#include <array>
 #include <optional>
 #include <set>
 #include <sstream>
@@ -19,6 +21,10 @@ namespace {
 // Names of an enumeration's values, in order from 0.
 template <typename Enum>
 struct EnumNames;
+template <>
+struct EnumNames<ray_casting::RangeSource> {
+  static constexpr const char* kNames[] = {"lidar", "map"};
+};
 template <>
 struct EnumNames<ray_casting::SharedVoxel> {
   static constexpr const char* kNames[] = {"each", "once"};
@@ -53,11 +59,11 @@ class TomlWriter {
     if (value) (*this)(key, *value);
   }
   void Angle(const char* key, double& angle_rad) { (*this)(key, geometry::DegFromRad(angle_rad)); }
-  // Which of two alternatives a variant holds, by name.
-  template <typename First, typename Second>
-  void Choice(const char* key, std::variant<First, Second>& value, const char* first,
-              const char* second) {
-    (*this)(key, std::string(value.index() == 0 ? first : second));
+  // Which alternative a variant holds, by name.
+  template <typename... Alternatives>
+  void Choice(const char* key, std::variant<Alternatives...>& value,
+              const std::array<const char*, sizeof...(Alternatives)>& names) {
+    (*this)(key, std::string(names[value.index()]));
   }
 
   toml::table table;
@@ -112,19 +118,20 @@ class TomlReader {
     (*this)(key, angle_deg);
     angle_rad = geometry::RadFromDeg(angle_deg);
   }
-  template <typename First, typename Second>
-  void Choice(const char* key, std::variant<First, Second>& value, const char* first,
-              const char* second) {
+  template <typename... Alternatives>
+  void Choice(const char* key, std::variant<Alternatives...>& value,
+              const std::array<const char*, sizeof...(Alternatives)>& names) {
     const toml::node* node = Find(key);
     if (node == nullptr) return;
-    const std::optional<std::string> name = node->value<std::string>();
-    if (name == first) {
-      if (value.index() != 0) value = First{};
-    } else if (name == second) {
-      if (value.index() != 1) value = Second{};
-    } else {
+    const auto named = std::find(names.begin(), names.end(), node->value<std::string>());
+    if (named == names.end()) {
       Refuse(key);
+      return;
     }
+    const auto chosen = static_cast<std::size_t>(named - names.begin());
+    if (chosen == value.index()) return;
+    std::size_t index = 0;
+    (void)((index++ == chosen && (value = Alternatives{}, true)) || ...);
   }
 
   // After every parameter was visited: what the table has beyond them is an error.
@@ -179,7 +186,7 @@ void VisitAcoustics(Visitor& v, acoustics::AcousticsConfig& c) {
   v("f_min_hz", c.f_min_hz);
   v("f_max_hz", c.f_max_hz);
   v("speed_of_sound_mps", c.speed_of_sound_mps);
-  v.Choice("grid", c.grid, "equal_area", "sector");
+  v.Choice("grid", c.grid, {"equal_area", "sector"});
   if (auto* grid = std::get_if<acoustics::EqualAreaGrid>(&c.grid)) {
     v.Angle("grid_spacing_deg", grid->spacing_rad);
   } else if (auto* sector = std::get_if<acoustics::SectorGrid>(&c.grid)) {
@@ -189,7 +196,7 @@ void VisitAcoustics(Visitor& v, acoustics::AcousticsConfig& c) {
     v.Angle("grid_elevation_max_deg", sector->elevation_max_rad);
     v.Angle("grid_step_deg", sector->step_rad);
   }
-  v.Choice("evidence", c.evidence, "peaks", "double_threshold");
+  v.Choice("evidence", c.evidence, {"peaks", "double_threshold", "scaled_power"});
   if (auto* peaks = std::get_if<acoustics::PeakEvidence>(&c.evidence)) {
     v("threshold_spreads", peaks->threshold_spreads);
     v("threshold_incoherent_spreads", peaks->threshold_incoherent_spreads);
@@ -207,6 +214,9 @@ void VisitAcoustics(Visitor& v, acoustics::AcousticsConfig& c) {
     v("p_min", thresholds->p_min);
     v("p_med", thresholds->p_med);
     v("p_max", thresholds->p_max);
+  } else if (auto* scaled = std::get_if<acoustics::ScaledPower>(&c.evidence)) {
+    v("p_min", scaled->p_min);
+    v("p_max", scaled->p_max);
   }
 }
 
@@ -403,10 +413,12 @@ void Visit(Visitor& v, Profile& profile) {
   VisitAcoustics(v, profile.acoustics);
   VisitLocalization(v, profile.localization);
   v.Section("ray_casting");
+  v("range", profile.ray_casting.range);
   v("voxel_size_m", profile.ray_casting.voxel_size_m);
   v("max_range_m", profile.ray_casting.max_range_m);
   v("max_angle_deg", profile.ray_casting.max_angle_deg);
   v("shared_voxel", profile.ray_casting.shared_voxel);
+  v("evidence_in_free_space", profile.ray_casting.evidence_in_free_space);
   v("max_lidar_age_s", profile.ray_casting.max_lidar_age_s);
   VisitSoundMap(v, profile.sound_map);
   v.Section("fusion");

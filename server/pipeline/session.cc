@@ -72,7 +72,7 @@ absl::Status Session::Recover() {
 
   if (record_.purpose == Purpose::kListening) {
     auto listening =
-        Listening::Create(*site_.profile, record_.calibration, site_.plan, record_.initial_pose,
+        Listening::Create(*site_.profile, record_.calibration, site_.building, record_.initial_pose,
                           storage::Crc32c(record_.session), &clock_);
     if (!listening.ok()) return listening.status();
     listening_ = *std::move(listening);

@@ -43,7 +43,7 @@ class Session : public std::enable_shared_from_this<Session> {
     storage::Store* store = nullptr;
     Region* region = nullptr;
     const Profile* profile = nullptr;
-    std::shared_ptr<const localization::PreparedPlan> plan;  // null while mapping
+    std::shared_ptr<const PreparedBuilding> building;  // null while mapping
     FrameDecoder decode;
     boost::asio::any_io_executor executor;
     StageTimes* times = nullptr;  // null: not measured

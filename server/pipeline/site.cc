@@ -81,22 +81,21 @@ absl::StatusOr<std::shared_ptr<const building::Building>> Site::LoadBuilding(
   return std::make_shared<const building::Building>(*std::move(building));
 }
 
-absl::StatusOr<std::shared_ptr<const localization::PreparedPlan>> Site::PlanOf(
-    std::int64_t version) {
-  if (plan_ && version == record_.building_version) return plan_;
+absl::StatusOr<std::shared_ptr<const PreparedBuilding>> Site::Prepared(std::int64_t version) {
+  if (prepared_ && version == record_.building_version) return prepared_;
   auto building = LoadBuilding(version);
   if (!building.ok()) return building.status();
-  auto plan = localization::PreparedPlan::Create(profile_.localization, (*building)->floor_plan);
-  if (plan.ok() && version == record_.building_version) plan_ = *plan;
-  return plan;
+  auto prepared = PreparedBuilding::Create(profile_, **building);
+  if (prepared.ok() && version == record_.building_version) prepared_ = *prepared;
+  return prepared;
 }
 
 absl::StatusOr<std::shared_ptr<Session>> Site::OpenSession(SessionRecord record) {
   Session::Site parts{store_, region_.get(), &profile_, nullptr, decode_, executor_, times_};
   if (record.purpose == Purpose::kListening && !record.complete) {
-    auto plan = PlanOf(record.building_version);
-    if (!plan.ok()) return plan.status();
-    parts.plan = *std::move(plan);
+    auto prepared = Prepared(record.building_version);
+    if (!prepared.ok()) return prepared.status();
+    parts.building = *std::move(prepared);
   }
   return Session::Open(std::move(record), std::move(parts));
 }
@@ -180,8 +179,8 @@ std::shared_ptr<const building::Building> Site::building() const {
 absl::Status Site::ActivateBuilding(building::Building building,
                                     std::vector<std::string> sessions) {
   // A plan that cannot be localized in is refused here, not when the first robot comes.
-  auto plan = localization::PreparedPlan::Create(profile_.localization, building.floor_plan);
-  if (!plan.ok()) return plan.status();
+  auto prepared = PreparedBuilding::Create(profile_, building);
+  if (!prepared.ok()) return prepared.status();
   const std::string bytes = building::SerializeBuilding(building);
   std::lock_guard lock(mutex_);
   SiteRecord record = record_;
@@ -193,7 +192,7 @@ absl::Status Site::ActivateBuilding(building::Building building,
   if (!stored.ok()) return stored;
   record_ = std::move(record);
   building_ = std::make_shared<const building::Building>(std::move(building));
-  plan_ = *std::move(plan);
+  prepared_ = *std::move(prepared);
   return absl::OkStatus();
 }
 

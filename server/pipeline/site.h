@@ -8,9 +8,9 @@
 
 #include "absl/status/statusor.h"
 #include "building/building.h"
-#include "localization/prepared_plan.h"
 #include "mapping/mapper.h"
 #include "pipeline/operations.h"
+#include "pipeline/prepared_building.h"
 #include "pipeline/profile.h"
 #include "pipeline/records.h"
 #include "pipeline/region.h"
@@ -97,7 +97,7 @@ class Site : public std::enable_shared_from_this<Site> {
   absl::StatusOr<std::shared_ptr<const building::Building>> LoadBuilding(
       std::int64_t version) const;
   // Of a version of the building; that of the present one is made once.
-  absl::StatusOr<std::shared_ptr<const localization::PreparedPlan>> PlanOf(std::int64_t version);
+  absl::StatusOr<std::shared_ptr<const PreparedBuilding>> Prepared(std::int64_t version);
   // FailedPrecondition: one is of another purpose or has not arrived in full.
   absl::StatusOr<std::vector<SessionRecord>> NamedDrives(const std::vector<std::string>& names,
                                                          Purpose purpose) const;
@@ -112,9 +112,9 @@ class Site : public std::enable_shared_from_this<Site> {
   std::unique_ptr<Region> region_;
 
   mutable std::mutex mutex_;
-  SiteRecord record_;                                       // guarded by mutex_
-  std::shared_ptr<const building::Building> building_;      // guarded by mutex_
-  std::shared_ptr<const localization::PreparedPlan> plan_;  // guarded by mutex_; null: not made yet
+  SiteRecord record_;                                   // guarded by mutex_
+  std::shared_ptr<const building::Building> building_;  // guarded by mutex_
+  std::shared_ptr<const PreparedBuilding> prepared_;    // guarded by mutex_; null: not made yet
   std::map<std::string, std::shared_ptr<Session>> sessions_;  // guarded by mutex_
 };
 

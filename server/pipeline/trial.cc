@@ -120,11 +120,10 @@ absl::StatusOr<Trial> TryParameters(const std::vector<TrialDrive>& drives, const
   std::int64_t frames_before = 0;
   Trial trial;
   for (const TrialDrive& drive : drives) {
-    const auto plan =
-        localization::PreparedPlan::Create(profile.localization, drive.building->floor_plan);
-    if (!plan.ok()) return plan.status();
+    const auto building = PreparedBuilding::Create(profile, *drive.building);
+    if (!building.ok()) return building.status();
     auto listening =
-        Listening::Create(profile, drive.record.calibration, *plan, drive.record.initial_pose,
+        Listening::Create(profile, drive.record.calibration, *building, drive.record.initial_pose,
                           storage::Crc32c(drive.record.session));
     if (!listening.ok()) return listening.status();
     const auto log = DriveLog::Open(drive.record, store, decode);

@@ -1,11 +1,14 @@
 #include "ray_casting/ray_caster.h"
 
+#include <octomap/OcTree.h>
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -18,6 +21,10 @@ absl::Status CheckRange(const char* field, double value, double min, double max)
   if (value >= min && value <= max) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrCat("ray casting's ", field, " is ", value, ", but must be ", min, " to ", max));
+}
+
+std::uint64_t KeyOf(const geometry::VoxelKey& voxel) {
+  return std::uint64_t{voxel.x} << 32 | std::uint64_t{voxel.y} << 16 | voxel.z;
 }
 
 geometry::VoxelKey VoxelFrom(std::uint64_t key) {
@@ -66,6 +73,7 @@ absl::Status RayCastingConfig::Validate() const {
 RayCastingConfig PaperConfig() {
   RayCastingConfig config;
   config.shared_voxel = SharedVoxel::kEach;
+  config.evidence_in_free_space = true;
   return config;
 }
 
@@ -73,7 +81,8 @@ RayCastingConfig DefaultConfig() { return {}; }
 
 absl::StatusOr<RayCaster> RayCaster::Create(const RayCastingConfig& config,
                                             geometry::DirectionGrid directions,
-                                            const Eigen::Isometry3d& base_from_array) {
+                                            const Eigen::Isometry3d& base_from_array,
+                                            Surroundings surroundings) {
   if (absl::Status status = config.Validate(); !status.ok()) return status;
   if (directions.size() == 0) {
     return absl::InvalidArgumentError("ray casting has no candidate directions");
@@ -81,7 +90,45 @@ absl::StatusOr<RayCaster> RayCaster::Create(const RayCastingConfig& config,
   if (!base_from_array.matrix().allFinite()) {
     return absl::InvalidArgumentError("the mounting of the microphone array is not finite");
   }
-  return RayCaster(config, std::move(directions), base_from_array);
+  if (config.range == RangeSource::kMap && surroundings.octree == nullptr) {
+    return absl::FailedPreconditionError(
+        "ray_casting.range is the map, but the building is known by its floor plan alone");
+  }
+  return RayCaster(config, std::move(directions), base_from_array, std::move(surroundings));
+}
+
+std::vector<std::uint64_t> RayCaster::EndsByLidar(const LidarView& lidar,
+                                                  const Eigen::Isometry3d& map_from_array) const {
+  thread_local RangeIndex index;  // keeps its memory
+  index.Make(lidar.point_in_base, lidar.reference_base_from_audio_base * base_from_array_);
+  const std::vector<std::int32_t> nearest = index.Nearest(directions_);
+  return index.EndKeys(directions_, nearest, map_from_array, config_.max_range_m,
+                       config_.voxel_size_m);
+}
+
+std::vector<std::uint64_t> RayCaster::EndsInMap(const Eigen::Isometry3d& map_from_array) const {
+  const Eigen::Vector3f array = map_from_array.translation().cast<float>();
+  const octomap::point3d origin(array.x(), array.y(), array.z());
+  std::vector<std::uint64_t> keys(static_cast<std::size_t>(directions_.size()), kNoKey);
+  for (int i = 0; i < directions_.size(); ++i) {
+    const Eigen::Vector3f direction =
+        (map_from_array.linear() * directions_.grid()[i]).cast<float>();
+    octomap::point3d end;
+    if (!surroundings_.octree->castRay(origin, {direction.x(), direction.y(), direction.z()}, end,
+                                       /*ignoreUnknownCells=*/true, config_.max_range_m)) {
+      continue;
+    }
+    const auto voxel =
+        geometry::KeyFromPoint(Eigen::Vector3d(end.x(), end.y(), end.z()), config_.voxel_size_m);
+    if (voxel) keys[i] = KeyOf(*voxel);
+  }
+  return keys;
+}
+
+bool RayCaster::IsHeardInFreeSpace(std::uint64_t key, float likelihood) const {
+  return !config_.evidence_in_free_space && surroundings_.free_space && likelihood > 0.5f &&
+         surroundings_.free_space->Contains(
+             geometry::PointFromKey(VoxelFrom(key), config_.voxel_size_m));
 }
 
 absl::StatusOr<sound_map::EvidenceScan> RayCaster::Cast(
@@ -107,32 +154,27 @@ absl::StatusOr<sound_map::EvidenceScan> RayCaster::Cast(
     return absl::FailedPreconditionError("the robot is lost, so that its sound has no place");
   }
   const double age_s = std::abs(frames::SecondsFromNs(likelihood.mid_ns() - lidar.reference_ns));
-  if (!(age_s <= config_.max_lidar_age_s)) {
+  if (config_.range == RangeSource::kLidar && !(age_s <= config_.max_lidar_age_s)) {
     return absl::FailedPreconditionError(absl::StrCat("the LIDAR scan is ", age_s,
                                                       " s away from the audio scan; at most ",
                                                       config_.max_lidar_age_s, " s are allowed"));
   }
 
-  thread_local RangeIndex index;  // keeps its memory
-  index.Make(lidar.point_in_base, lidar.reference_base_from_audio_base * base_from_array_);
-  const std::vector<std::int32_t> nearest = index.Nearest(directions_);
   const Eigen::Isometry3d map_from_array = map_from_base.ToIsometry() * base_from_array_;
-
-  const std::vector<std::uint64_t> keys = index.EndKeys(directions_, nearest, map_from_array,
-                                                        config_.max_range_m, config_.voxel_size_m);
+  const std::vector<std::uint64_t> keys = config_.range == RangeSource::kLidar
+                                              ? EndsByLidar(lidar, map_from_array)
+                                              : EndsInMap(map_from_array);
 
   sound_map::EvidenceScan evidence;
   evidence.stamp_ns = likelihood.mid_ns();
   evidence.end_points.reserve(keys.size());
-  if (config_.shared_voxel == SharedVoxel::kOnce) {
-    SharedVoxels shared(keys.size());
-    for (std::size_t i = 0; i < keys.size(); ++i) {
-      if (keys[i] != kNoKey) shared.Add(keys[i], likelihood.likelihood[i], &evidence.end_points);
-    }
-  } else {
-    for (std::size_t i = 0; i < keys.size(); ++i) {
-      if (keys[i] != kNoKey)
-        evidence.end_points.push_back({VoxelFrom(keys[i]), likelihood.likelihood[i]});
+  SharedVoxels shared(config_.shared_voxel == SharedVoxel::kOnce ? keys.size() : 0);
+  for (std::size_t i = 0; i < keys.size(); ++i) {
+    if (keys[i] == kNoKey || IsHeardInFreeSpace(keys[i], likelihood.likelihood[i])) continue;
+    if (config_.shared_voxel == SharedVoxel::kOnce) {
+      shared.Add(keys[i], likelihood.likelihood[i], &evidence.end_points);
+    } else {
+      evidence.end_points.push_back({VoxelFrom(keys[i]), likelihood.likelihood[i]});
     }
   }
   return evidence;

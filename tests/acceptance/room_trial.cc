@@ -208,11 +208,10 @@ int TrialResult::doubles() const {
 }
 
 absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& profile) {
-  const auto plan =
-      localization::PreparedPlan::Create(profile.localization, trial.building->floor_plan);
-  if (!plan.ok()) return plan.status();
+  const auto building = pipeline::PreparedBuilding::Create(profile, *trial.building);
+  if (!building.ok()) return building.status();
   auto listening =
-      pipeline::Listening::Create(profile, trial.calibration, *plan, trial.start, /*seed=*/1);
+      pipeline::Listening::Create(profile, trial.calibration, *building, trial.start, /*seed=*/1);
   if (!listening.ok()) return listening.status();
   auto map = sound_map::SoundMap::Create(profile.sound_map);
   if (!map.ok()) return map.status();

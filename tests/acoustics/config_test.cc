@@ -66,6 +66,8 @@ TEST(AcousticsConfig, NamesWhatIsWrong) {
   config = {};
   config.evidence = DoubleThreshold{.p_max = 1.0};
   EXPECT_NE(message(config).find("p_max"), std::string::npos);
+  config.evidence = ScaledPower{.p_min = 0.6, .p_max = 0.5};
+  EXPECT_NE(message(config).find("p_min"), std::string::npos);
   EXPECT_NE(message({}, 1000000000).find("1000000000 Hz"), std::string::npos);
 }
 

@@ -60,6 +60,17 @@ TEST(DoubleThreshold, IsEquation6) {
   EXPECT_EQ(DoubleThresholdLikelihood(power, DoubleThreshold{}), expected);
 }
 
+TEST(ScaledPower, IsLinearFromTheLeastPowerToTheMost) {
+  const std::vector<float> power = {5.0f, -1.0f, 2.0f, 11.0f};
+  const std::vector<float> expected = {0.5f, 0.05f, 0.275f, 0.95f};
+  const std::vector<float> likelihood = ScaledPowerLikelihood(power, ScaledPower{});
+  ASSERT_EQ(likelihood.size(), expected.size());
+  for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_FLOAT_EQ(likelihood[i], expected[i]);
+  const std::vector<float> even(3, 7.0f);
+  EXPECT_EQ(ScaledPowerLikelihood(even, ScaledPower{}), std::vector<float>(3, 0.05f));
+  EXPECT_TRUE(ScaledPowerLikelihood({}, ScaledPower{}).empty());
+}
+
 TEST(FindPeaks, FindsThreeWavesOfUnequalLevelAndNothingElse) {
   std::mt19937_64 random(11);
   Listener listener(testing::DomeArray());

@@ -41,7 +41,7 @@ double RangeToWall(double x_m, double y_m, double angle_rad, bool pillar) {
   return range_m;
 }
 
-std::shared_ptr<const localization::PreparedPlan> Room(const Profile& profile, bool pillar) {
+std::shared_ptr<const PreparedBuilding> Room(const Profile& profile, bool pillar) {
   building::FloorPlan plan(130, 130, 0.05, {-3.25, -3.25});
   for (int row = 0; row < plan.height(); ++row) {
     for (int column = 0; column < plan.width(); ++column) {
@@ -57,7 +57,7 @@ std::shared_ptr<const localization::PreparedPlan> Room(const Profile& profile, b
       }
     }
   }
-  return localization::PreparedPlan::Create(profile.localization, plan).value();
+  return PreparedBuilding::Create(profile, {nullptr, plan}).value();
 }
 
 frames::Calibration Robot() {

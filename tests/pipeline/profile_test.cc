@@ -44,6 +44,18 @@ TEST(Profile, AParameterIsTakenFromTheText) {
   EXPECT_LT(profile->acoustics.MakeGrid().size(), 600);
 }
 
+TEST(Profile, HasTheBaselinesToCompareWith) {
+  const auto profile = ProfileFromToml(
+      "[acoustics]\nevidence = 'scaled_power'\np_max = 0.8\n[ray_casting]\nrange = 'map'\n");
+  ASSERT_TRUE(profile.ok()) << profile.status();
+  EXPECT_EQ(std::get<acoustics::ScaledPower>(profile->acoustics.evidence).p_max, 0.8);
+  EXPECT_EQ(profile->ray_casting.range, ray_casting::RangeSource::kMap);
+  const auto again = ProfileFromToml(ToToml(*profile));
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(again->acoustics, profile->acoustics);
+  EXPECT_EQ(again->ray_casting.range, profile->ray_casting.range);
+}
+
 TEST(Profile, WhatIsWrongIsNamed) {
   const std::pair<const char*, const char*> cases[] = {
       {"profile = 'loud'", "loud"},
@@ -54,6 +66,8 @@ TEST(Profile, WhatIsWrongIsNamed) {
       {"[sound_map]\nstop_rule = 'never'", "sound_map.stop_rule"},
       {"[fusion]\npose_wait_s = -1", "fusion.pose_wait_s"},
       {"[sound_map]\nvoxel_size_m = 0.1", "voxel_size_m"},
+      {"[acoustics]\nevidence = 'louder'", "acoustics.evidence"},
+      {"[ray_casting]\nrange = 'far'", "ray_casting.range"},
       {"[acoustics", "TOML"}};
   for (const auto& [text, says] : cases) {
     const auto profile = ProfileFromToml(text);

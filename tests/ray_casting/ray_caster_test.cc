@@ -1,6 +1,7 @@
 #include "ray_casting/ray_caster.h"
 
 #include <gtest/gtest.h>
+#include <octomap/OcTree.h>
 
 #include <algorithm>
 #include <cmath>
@@ -159,6 +160,89 @@ TEST(RayCaster, DirectionsThatShareAVoxel) {
                         ->end_points;
   const std::vector<sound_map::EndPoint> expected = {{each[0].key, 0.9f}, {each[2].key, 0.3f}};
   EXPECT_EQ(once, expected);
+}
+
+// A room of 6 x 5 x 3 m with its corner at the origin: walls of one voxel around free air.
+std::shared_ptr<octomap::OcTree> MappedRoom() {
+  auto octree = std::make_shared<octomap::OcTree>(0.05);
+  for (int x = -1; x <= 120; ++x) {
+    for (int y = -1; y <= 100; ++y) {
+      for (int z = -1; z <= 60; ++z) {
+        const bool wall = x < 0 || y < 0 || z < 0 || x == 120 || y == 100 || z == 60;
+        octree->setNodeValue(octomap::OcTreeKey(32768 + x, 32768 + y, 32768 + z),
+                             wall ? 2.0f : -2.0f, /*lazy_eval=*/true);
+      }
+    }
+  }
+  octree->updateInnerOccupancy();
+  return octree;
+}
+
+// The surface of the room in closed form.
+TEST(RayCaster, WithoutALidarTheMapSaysHowFarTheSurfaceIs) {
+  RayCastingConfig config = PaperConfig();
+  config.range = RangeSource::kMap;
+  config.max_range_m = 4.0;
+  const auto grid = geometry::DirectionGrid::EqualArea(RadFromDeg(7.0));
+  const Eigen::Isometry3d base_from_array =
+      Eigen::Translation3d(0.1, 0.0, 1.0) *
+      Eigen::AngleAxisd(RadFromDeg(25.0), Eigen::Vector3d(0.2, 0.9, -0.4).normalized());
+  EXPECT_EQ(RayCaster::Create(config, grid, base_from_array).status().code(),
+            absl::StatusCode::kFailedPrecondition);
+  const auto caster =
+      RayCaster::Create(config, grid, base_from_array, {MappedRoom(), nullptr}).value();
+
+  const auto pose = PoseAt(3.5, 2.2, 40.0);
+  const Eigen::Isometry3d map_from_array = pose.map_from_base.ToIsometry() * base_from_array;
+  const Eigen::Vector3d origin = map_from_array.translation();
+  const Eigen::Vector3d size(6.0, 5.0, 3.0);
+  acoustics::LikelihoodScan scan = LikelihoodOf(grid.size(), 0.0f);
+  for (int i = 0; i < grid.size(); ++i) scan.likelihood[i] = static_cast<float>(i);
+  const auto evidence = caster.Cast(scan, {}, pose).value();
+  std::set<int> reported;
+  for (const auto& end_point : evidence.end_points) {
+    const int i = static_cast<int>(end_point.likelihood);
+    reported.insert(i);
+    const Eigen::Vector3d direction = map_from_array.linear() * grid[i];
+    double range_m = std::numeric_limits<double>::infinity();
+    for (int axis = 0; axis < 3; ++axis) {
+      const double to = direction[axis] > 0.0 ? size[axis] : 0.0;
+      range_m = std::min(range_m, (to - origin[axis]) / direction[axis]);
+    }
+    const Eigen::Vector3d surface = origin + range_m * direction;
+    EXPECT_LT((geometry::PointFromKey(end_point.key, 0.05) - surface).cwiseAbs().maxCoeff(), 0.051);
+    EXPECT_LT(range_m, 4.1);
+  }
+  EXPECT_GT(reported.size(), grid.size() / 2u);
+  EXPECT_LT(reported.size(), static_cast<std::size_t>(grid.size())) << "some are beyond 4 m";
+}
+
+// Somebody stands in the middle of the room, where nothing stood when it was mapped, and talks; a
+// source hangs on the wall behind.
+TEST(RayCaster, WhatIsHeardInSpaceThatIsKnownToBeFreeIsNoEvidence) {
+  const auto octree = MappedRoom();
+  const Surroundings surroundings{octree, std::make_shared<building::FreeSpace>(octree)};
+  const auto grid = geometry::DirectionGrid(
+      {Eigen::Vector3d::UnitX(), -Eigen::Vector3d::UnitX(), Eigen::Vector3d::UnitY()}, 0.02);
+  Eigen::Isometry3d base_from_array = Eigen::Isometry3d::Identity();
+  base_from_array.translation().z() = 1.5;
+  const std::vector<Eigen::Vector3f> points = {{1.5f, 0.0f, 1.5f},    // the person
+                                               {-2.02f, 0.0f, 1.5f},  // the wall
+                                               {0.0f, 1.0f, 1.5f}};   // a silent person
+  auto scan = LikelihoodOf(3, 0.9f);
+  scan.likelihood[2] = 0.4f;
+  const auto cast = [&](const RayCastingConfig& config, const Surroundings& known) {
+    return RayCaster::Create(config, grid, base_from_array, known)
+        ->Cast(scan, {kMid_ns, points}, PoseAt(2.0, 2.5, 0.0))
+        ->end_points;
+  };
+  const auto heard = cast(DefaultConfig(), surroundings);
+  ASSERT_EQ(heard.size(), 2u);
+  EXPECT_EQ(heard[0].likelihood, 0.9f);
+  EXPECT_LT(geometry::PointFromKey(heard[0].key, 0.05).x(), 0.0) << "the wall";
+  EXPECT_EQ(heard[1].likelihood, 0.4f) << "against a source: no harm where none can be";
+  EXPECT_EQ(cast(PaperConfig(), surroundings).size(), 3u);
+  EXPECT_EQ(cast(DefaultConfig(), {}).size(), 3u) << "a building known by its floor plan alone";
 }
 
 TEST(RayCaster, RefusesWhatItCannotPlace) {
