@@ -74,10 +74,7 @@ absl::StatusOr<std::vector<sound_map::SourceEvent>> Region::Apply(
                      &evidence,
                      &scan.heard});
   std::vector<sound_map::SourceEvent> events;
-  if (register_.due()) {
-    events = register_.Update(
-        sound_map::FindSoundSources(*map_->TakeSnapshot(), map_->config().sources));
-  }
+  if (register_.due()) events = register_.Update(finder_.Find(map_->Present()));
   clock.Lap(Stage::kSources);
   return events;
 }
@@ -102,9 +99,7 @@ void Region::FindSourcesLocked() {
     preview = register_;
     map = snapshot();
   }
-  if (preview->pending()) {
-    preview->Update(sound_map::FindSoundSources(*map, map_->config().sources));
-  }
+  if (preview->pending()) preview->Update(preview_finder_.Find(*map));
   auto found = std::make_shared<const Sources>(
       Sources{preview->Sources(), map->revision(), map->as_of_ns()});
   std::lock_guard lock(sources_mutex_);
@@ -152,9 +147,8 @@ absl::Status Region::Commit(const storage::Commit& commit, StageClock& clock) {
     std::move(happened->begin(), happened->end(), std::back_inserter(events));
     if (!register_.pending()) {
       // Just updated; looking for sources more often than this would cost more than it tells.
-      const std::shared_ptr<const sound_map::Snapshot> map = snapshot();
       updated = std::make_shared<const Sources>(
-          Sources{register_.Sources(), map->revision(), map->as_of_ns()});
+          Sources{register_.Sources(), map_->revision(), map_->as_of_ns()});
     }
     updates_since_checkpoint_ += static_cast<std::int64_t>(evidence.end_points.size());
   }

@@ -11,6 +11,7 @@
 #include "pipeline/events.h"
 #include "pipeline/stage_times.h"
 #include "sound_map/sound_map.h"
+#include "sound_map/sound_sources.h"
 #include "sound_map/source_register.h"
 #include "storage/store.h"
 
@@ -56,7 +57,12 @@ class Region {
 
  private:
   Region(std::string site, storage::Store* store, std::unique_ptr<sound_map::SoundMap> map)
-      : site_(std::move(site)), store_(store), map_(std::move(map)), register_(map_->config()) {}
+      : site_(std::move(site)),
+        store_(store),
+        map_(std::move(map)),
+        register_(map_->config()),
+        finder_(map_->config().sources),
+        preview_finder_(map_->config().sources) {}
   absl::Status Load();
   // One journal entry enters map and register.
   absl::StatusOr<std::vector<sound_map::SourceEvent>> Apply(const sound_map::EvidenceScan& evidence,
@@ -72,11 +78,13 @@ class Region {
   std::mutex writer_mutex_;
   const std::unique_ptr<sound_map::SoundMap> map_;  // changed with writer_mutex_ held
   sound_map::SourceRegister register_;              // guarded by writer_mutex_
+  sound_map::SourceFinder finder_;                  // guarded by writer_mutex_
   std::uint64_t sequence_ = 0;  // guarded by writer_mutex_; last journal entry in map_
   std::int64_t updates_since_checkpoint_ = 0;  // guarded by writer_mutex_
 
   std::mutex finding_mutex_;                  // one search at a time; taken before sources_mutex_
   std::shared_ptr<const Sources> published_;  // guarded by finding_mutex_
+  sound_map::SourceFinder preview_finder_;    // guarded by finding_mutex_
   mutable std::mutex sources_mutex_;
   std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_; never null once open
 };

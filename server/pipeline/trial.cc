@@ -6,6 +6,7 @@
 #include "pipeline/drive_log.h"
 #include "pipeline/listening.h"
 #include "sound_map/sound_map.h"
+#include "sound_map/sound_sources.h"
 #include "sound_map/source_register.h"
 #include "storage/crc32c.h"
 
@@ -16,7 +17,7 @@ namespace {
 class TrialMap {
  public:
   explicit TrialMap(std::unique_ptr<sound_map::SoundMap> map)
-      : map_(std::move(map)), register_(map_->config()) {}
+      : map_(std::move(map)), register_(map_->config()), finder_(map_->config().sources) {}
 
   absl::Status Apply(const std::string& robot, const Listening::Scan& scan) {
     const absl::Status applied = map_->Apply(scan.evidence);
@@ -37,12 +38,11 @@ class TrialMap {
   }
 
  private:
-  void Update() {
-    register_.Update(sound_map::FindSoundSources(*map_->TakeSnapshot(), map_->config().sources));
-  }
+  void Update() { register_.Update(finder_.Find(map_->Present())); }
 
   const std::unique_ptr<sound_map::SoundMap> map_;
   sound_map::SourceRegister register_;
+  sound_map::SourceFinder finder_;
 };
 
 // One drive through the pipeline. What a lost robot heard waits in the log until it knows where it

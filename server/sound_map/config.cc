@@ -3,11 +3,13 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "sound_map/support_field.h"
 
 namespace soundmap::sound_map {
 namespace {
 
-absl::Status Wrong(const char* field, double value, const char* what) {
+absl::Status Wrong(const char* field, double value, absl::string_view what) {
   return absl::InvalidArgumentError(
       absl::StrCat("the sound map's ", field, " is ", value, ", but ", what));
 }
@@ -71,6 +73,11 @@ absl::Status SoundMapConfig::Validate() const {
   }
   if (!IsIn(max_log_odds, 0.0, 1e6) || max_log_odds == 0.0) {
     return Wrong("max_log_odds", max_log_odds, "must be above 0 and finite");
+  }
+  if (sources.smoothing_sigma_m > SupportField::kMaxSigma_voxels * voxel_size_m) {
+    return Wrong("smoothing_sigma_m", sources.smoothing_sigma_m,
+                 absl::StrCat("must be at most ", SupportField::kMaxSigma_voxels,
+                              " times the voxels' size"));
   }
   return sources.Validate();
 }

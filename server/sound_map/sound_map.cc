@@ -116,19 +116,37 @@ absl::Status SoundMap::Apply(const EvidenceScan& evidence) {
   return absl::OkStatus();
 }
 
+Snapshot SoundMap::View() const {
+  Snapshot::Tiles tiles;
+  tiles.reserve(tiles_.size());
+  for (const auto& [key, entry] : tiles_) tiles.push_back(entry.tile);
+  return Snapshot(config_.voxel_size_m, revision_, as_of_ns_, std::move(tiles));
+}
+
+Snapshot SoundMap::Present() const {
+  absl::MutexLock lock(&mutex_);
+  return View();
+}
+
 std::shared_ptr<const Snapshot> SoundMap::TakeSnapshot() const {
   absl::MutexLock lock(&mutex_);
   std::shared_ptr<const Snapshot> snapshot = snapshot_.lock();
   if (!snapshot) {
-    Snapshot::Tiles tiles;
-    tiles.reserve(tiles_.size());
-    for (const auto& [key, entry] : tiles_) tiles.push_back(entry.tile);
-    snapshot =
-        std::make_shared<Snapshot>(config_.voxel_size_m, revision_, as_of_ns_, std::move(tiles));
+    snapshot = std::make_shared<const Snapshot>(View());
     snapshot_ = snapshot;
     ++generation_;
   }
   return snapshot;
+}
+
+std::uint64_t SoundMap::revision() const {
+  absl::MutexLock lock(&mutex_);
+  return revision_;
+}
+
+std::optional<frames::TimeNs> SoundMap::as_of_ns() const {
+  absl::MutexLock lock(&mutex_);
+  return as_of_ns_;
 }
 
 std::vector<TileBlob> SoundMap::TakeDirtyTiles() {

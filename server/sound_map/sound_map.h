@@ -40,6 +40,14 @@ class SoundMap {
   // changes it. Ask for what is shown, not at every scan.
   std::shared_ptr<const Snapshot> TakeSnapshot() const;
 
+  // The same for the writer itself, who lets go of it before it changes the map again: nothing is
+  // copied for it.
+  Snapshot Present() const;
+
+  // Those of TakeSnapshot().
+  std::uint64_t revision() const;
+  std::optional<frames::TimeNs> as_of_ns() const;
+
   // The tiles that changed since the last call, by key, for a checkpoint. When the checkpoint
   // fails, give their keys to MarkDirty().
   std::vector<TileBlob> TakeDirtyTiles();
@@ -61,6 +69,7 @@ class SoundMap {
   };
 
   explicit SoundMap(const SoundMapConfig& config) : config_(config) {}
+  Snapshot View() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   Tile* OpenTile(const TileKey& key) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const SoundMapConfig config_;

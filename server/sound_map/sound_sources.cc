@@ -1,12 +1,12 @@
 #include "sound_map/sound_sources.h"
 
 #include <algorithm>
+#include <boost/unordered/unordered_flat_map.hpp>
 #include <cmath>
 #include <numeric>
 #include <optional>
 
 #include "sound_map/clustering.h"
-#include "sound_map/support_field.h"
 #include "sound_map/tile.h"
 
 namespace soundmap::sound_map {
@@ -168,74 +168,119 @@ double ProbabilityOf(double evidence, const SoundSourceConfig& config) {
   return 1.0 / (1.0 + std::pow(config.even_evidence / evidence, config.evidence_power));
 }
 
-std::vector<SoundSource> FindBySmoothPeaks(const Snapshot& snapshot,
-                                           const SoundSourceConfig& config) {
-  std::vector<ObservedVoxel> supported = FindSupportedVoxels(snapshot, config.min_updates);
-  KeepLargest(supported, config.max_voxels,
-              [](const ObservedVoxel& voxel) { return voxel.support.count; });
-  const SupportField field(snapshot, std::move(supported));
+// What has been accepted so far, by cells so wide that what masks a place is in its cell.
+class Accepted {
+ public:
+  explicit Accepted(const SoundSourceConfig& config)
+      : config_(config), cell_m_(std::max(config.separation_m, config.masking_radius_m)) {}
 
-  struct Candidate {
-    Eigen::Vector3d point_in_map;
-    double evidence;
-  };
+  void Add(const SourceFinder::Candidate& candidate) {
+    const Eigen::Vector3i cell = CellOf(candidate.point_in_map_m);
+    for (int offset = 0; offset < 27; ++offset) {
+      const Eigen::Vector3i step(offset % 3 - 1, offset / 3 % 3 - 1, offset / 9 - 1);
+      in_reach_[Number(cell + step)].push_back(candidate);
+    }
+  }
+
+  bool Masks(const SourceFinder::Candidate& weaker) const {
+    const auto near = in_reach_.find(Number(CellOf(weaker.point_in_map_m)));
+    if (near == in_reach_.end()) return false;
+    return std::any_of(
+        near->second.begin(), near->second.end(), [&](const SourceFinder::Candidate& stronger) {
+          const double distance_m = (stronger.point_in_map_m - weaker.point_in_map_m).norm();
+          const double share =
+              config_.masking_share * (1.0 - distance_m / config_.masking_radius_m);
+          return distance_m < config_.separation_m || weaker.evidence < share * stronger.evidence;
+        });
+  }
+
+ private:
+  Eigen::Vector3i CellOf(const Eigen::Vector3d& point_in_map_m) const {
+    return (point_in_map_m / cell_m_).array().floor().matrix().cast<int>();
+  }
+  // Cells far apart may share a number, which costs time alone.
+  static std::uint64_t Number(const Eigen::Vector3i& cell) {
+    std::uint64_t number = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+      number = number << 21 | (static_cast<std::uint32_t>(cell[axis]) & 0x1fffffu);
+    }
+    return number;
+  }
+
+  const SoundSourceConfig& config_;
+  const double cell_m_;
+  boost::unordered_flat_map<std::uint64_t, std::vector<SourceFinder::Candidate>> in_reach_;
+};
+
+}  // namespace
+
+SourceFinder::SourceFinder(const SoundSourceConfig& config)
+    : config_(config), field_(config.smoothing_sigma_m, config.min_updates, config.max_voxels) {}
+
+void SourceFinder::FindCandidates(const Snapshot& snapshot, const TileKey& tile) {
   std::vector<Candidate> candidates;
-  field.ForEachCount(config.smoothing_sigma_m, config.background_share,
-                     [&](const ObservedVoxel& voxel, const SupportField::Counts& counts) {
-                       const auto evidence = Evidence(counts, config);
-                       constexpr double kLeast = 0.01;
-                       if (!evidence || ProbabilityOf(*evidence, config) < kLeast) return;
-                       candidates.push_back({CentreOf(voxel, field.voxel_size_m()), *evidence});
-                     });
+  field_.ForEachCount(snapshot, tile, config_.background_share,
+                      [&](const ObservedVoxel& voxel, const SupportField::Counts& counts) {
+                        const auto evidence = Evidence(counts, config_);
+                        constexpr double kLeast = 0.01;
+                        if (!evidence || ProbabilityOf(*evidence, config_) < kLeast) return;
+                        candidates.push_back({CentreOf(voxel, field_.voxel_size_m()), *evidence});
+                      });
+  if (candidates.empty()) {
+    candidates_.erase(tile);
+  } else {
+    candidates_[tile] = std::move(candidates);
+  }
+}
+
+std::vector<SoundSource> SourceFinder::FindBySmoothPeaks(const Snapshot& snapshot) {
+  for (const TileKey& tile : field_.Follow(snapshot)) FindCandidates(snapshot, tile);
+  std::vector<Candidate> candidates;
+  for (const auto& [tile, of_tile] : candidates_) {
+    candidates.insert(candidates.end(), of_tile.begin(), of_tile.end());
+  }
   std::stable_sort(candidates.begin(), candidates.end(),
                    [](const auto& a, const auto& b) { return a.evidence > b.evidence; });
 
-  std::vector<Candidate> accepted;
+  Accepted accepted(config_);
   std::vector<SoundSource> sources;
-  const auto masks = [&](const Candidate& stronger, const Eigen::Vector3d& place,
-                         const Candidate& weaker) {
-    const double distance_m = (stronger.point_in_map - place).norm();
-    const double share = config.masking_share * (1.0 - distance_m / config.masking_radius_m);
-    return distance_m < config.separation_m || weaker.evidence < share * stronger.evidence;
-  };
   for (const Candidate& candidate : candidates) {
-    if (sources.size() >= static_cast<std::size_t>(config.max_sources)) break;
-    if (std::any_of(accepted.begin(), accepted.end(), [&](const Candidate& stronger) {
-          return masks(stronger, candidate.point_in_map, candidate);
-        })) {
-      continue;
-    }
-    accepted.push_back(candidate);
-    const Core core(field, config, candidate.point_in_map);
+    if (sources.size() >= static_cast<std::size_t>(config_.max_sources)) break;
+    if (accepted.Masks(candidate)) continue;
+    accepted.Add(candidate);
+    const Core core(field_, config_, candidate.point_in_map_m);
     if (core.voxels.empty() ||
         std::any_of(sources.begin(), sources.end(), [&](const SoundSource& stronger) {
-          return (stronger.position_in_map_m - core.position_in_map_m).norm() < config.separation_m;
+          return (stronger.position_in_map_m - core.position_in_map_m).norm() <
+                 config_.separation_m;
         })) {
       continue;
     }
     SoundSource source;
     source.position_in_map_m = core.position_in_map_m;
-    source.probability = ProbabilityOf(candidate.evidence, config);
-    Describe(core.voxels, core.weights, field.voxel_size_m(), source);
-    if (source.evidence_count >= config.min_evidence) sources.push_back(source);
+    source.probability = ProbabilityOf(candidate.evidence, config_);
+    Describe(core.voxels, core.weights, field_.voxel_size_m(), source);
+    if (source.evidence_count >= config_.min_evidence) sources.push_back(source);
   }
   return sources;
 }
 
-}  // namespace
-
-std::vector<SoundSource> FindSoundSources(const Snapshot& snapshot,
-                                          const SoundSourceConfig& config) {
-  std::vector<SoundSource> sources = config.method == SourceMethod::kKMeans
-                                         ? FindByKMeans(snapshot, config)
-                                         : FindBySmoothPeaks(snapshot, config);
+std::vector<SoundSource> SourceFinder::Find(const Snapshot& snapshot) {
+  std::vector<SoundSource> sources = config_.method == SourceMethod::kKMeans
+                                         ? FindByKMeans(snapshot, config_)
+                                         : FindBySmoothPeaks(snapshot);
   std::sort(sources.begin(), sources.end(), [](const SoundSource& a, const SoundSource& b) {
     return a.probability != b.probability ? a.probability > b.probability : a.id < b.id;
   });
-  if (sources.size() > static_cast<std::size_t>(config.max_sources)) {
-    sources.resize(config.max_sources);
+  if (sources.size() > static_cast<std::size_t>(config_.max_sources)) {
+    sources.resize(config_.max_sources);
   }
   return sources;
+}
+
+std::vector<SoundSource> FindSoundSources(const Snapshot& snapshot,
+                                          const SoundSourceConfig& config) {
+  return SourceFinder(config).Find(snapshot);
 }
 
 }  // namespace soundmap::sound_map

@@ -2,10 +2,12 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <map>
 #include <vector>
 
 #include "sound_map/config.h"
 #include "sound_map/snapshot.h"
+#include "sound_map/support_field.h"
 
 namespace soundmap::sound_map {
 
@@ -38,5 +40,28 @@ struct SoundSource {
 // weight support^2 / update_count.
 std::vector<SoundSource> FindSoundSources(const Snapshot& snapshot,
                                           const SoundSourceConfig& config);
+
+// FindSoundSources() of one growing map, asked again and again: what tiles that stayed as they were
+// say is remembered. Its snapshots must be those of one map, whose tiles are loaded before.
+class SourceFinder {
+ public:
+  explicit SourceFinder(const SoundSourceConfig& config);
+
+  std::vector<SoundSource> Find(const Snapshot& snapshot);
+
+  // A voxel that may be where a source is.
+  struct Candidate {
+    Eigen::Vector3d point_in_map_m;
+    double evidence = 0.0;
+  };
+
+ private:
+  void FindCandidates(const Snapshot& snapshot, const TileKey& tile);
+  std::vector<SoundSource> FindBySmoothPeaks(const Snapshot& snapshot);
+
+  const SoundSourceConfig config_;
+  SupportField field_;
+  std::map<TileKey, std::vector<Candidate>> candidates_;
+};
 
 }  // namespace soundmap::sound_map

@@ -1,8 +1,8 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <boost/unordered/unordered_flat_map.hpp>
 #include <cstdint>
+#include <map>
 #include <vector>
 
 #include "absl/functional/function_ref.h"
@@ -16,41 +16,55 @@ struct ObservedVoxel {
   Support support;
 };
 
-// The voxels that at least one observation supported and with M > min_updates, in map order. Costs
-// nothing where there are none.
-std::vector<ObservedVoxel> FindSupportedVoxels(const Snapshot& snapshot, std::uint32_t min_updates);
-
-// The supported voxels among all others, to be asked what was observed around a place. The snapshot
-// must outlive it.
+// The voxels of a growing map that at least one observation supported and with M > min_updates,
+// among all others, to be asked what was observed around a place. Tiles that stay as they are are
+// not read again.
 class SupportField {
  public:
-  SupportField(const Snapshot& snapshot, std::vector<ObservedVoxel> supported);
+  // Observations around a voxel are counted together, weighted by a Gaussian of the distance that
+  // ends at 2.5 sigma on each axis, sigma being at most kMaxSigma_voxels. Of more than `max_voxels`
+  // voxels those with the most support take part, and none of those that have equally little.
+  static constexpr double kMaxSigma_voxels = 10.0;
+  SupportField(double sigma_m, std::uint32_t min_updates, int max_voxels);
 
-  double voxel_size_m() const { return snapshot_.voxel_size_m(); }
+  // Goes on to another snapshot of the same map. Returns the tiles in which something may be
+  // counted otherwise than before; some of them may be gone.
+  std::vector<TileKey> Follow(const Snapshot& snapshot);
+
+  double voxel_size_m() const { return voxel_size_m_; }
 
   // Those within the radius, in map order of their 8^3 blocks.
   std::vector<const ObservedVoxel*> Around(const Eigen::Vector3d& point_in_map,
                                            double radius_m) const;
 
-  // Observations around a voxel, weighted by a Gaussian of the distance that ends at 2.5 sigma on
-  // each axis.
   struct Counts {
     double supporting = 0.0;
     double all = 0.0;
   };
-  // For each voxel that more than `min_share` of its own observations supported, and more than one.
-  void ForEachCount(double sigma_m, double min_share,
+  // For each voxel of a tile that more than `min_share` of its own observations supported, and more
+  // than one. Counts are exact to 1e-5 of themselves. `snapshot`: that of Follow().
+  void ForEachCount(const Snapshot& snapshot, const TileKey& tile, double min_share,
                     absl::FunctionRef<void(const ObservedVoxel&, const Counts&)> visit) const;
 
  private:
-  const Snapshot& snapshot_;
-  std::vector<ObservedVoxel> voxels_;
-  struct Range {
-    int begin = 0;
-    int end = 0;
+  struct TileSupport {
+    std::uint64_t revision = 0;
+    std::vector<ObservedVoxel> voxels;  // in map order
   };
-  // By block: key >> 3.
-  boost::unordered_flat_map<geometry::VoxelKey, Range, std::hash<geometry::VoxelKey>> blocks_;
+  class Surroundings;
+
+  void Read(const Tile& tile, TileSupport& support) const;
+  std::uint32_t LeastCount() const;
+  // Those of one 8^3 block that take part.
+  void ForEachInBlock(const geometry::VoxelKey& block,
+                      absl::FunctionRef<void(const ObservedVoxel&)> visit) const;
+
+  const double sigma_m_;
+  const std::uint32_t min_updates_;
+  const int max_voxels_;
+  double voxel_size_m_ = 0.0;
+  std::map<TileKey, TileSupport> tiles_;
+  std::uint32_t least_count_ = 1;  // voxels with less support do not take part
 };
 
 }  // namespace soundmap::sound_map
