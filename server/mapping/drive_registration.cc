@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "geometry/angles.h"
+#include "mapping/planar_poses.h"
 
 namespace soundmap::mapping {
 namespace {
@@ -32,15 +33,11 @@ constexpr double kPriorMin_m = 0.03;
 constexpr double kPriorMin_rad = 0.02;
 constexpr double kPriorOfStep = 0.2;
 
-constexpr double kPlace_m = 1.0;
-
 // The map to which scans are aligned is looked over, and a loop looked for, after so much way.
 constexpr double kRenewal_m = 2.0;
 constexpr double kLoopInterval_m = 1.0;
 // Key scans further away than this show other surfaces.
 constexpr double kLocal_m = 20.0;
-
-double Distance(const Pose2& a, const Pose2& b) { return std::hypot(a.x_m - b.x_m, a.y_m - b.y_m); }
 
 std::vector<Eigen::Vector3f> Transform(const Isometry3d& map_from_base,
                                        std::span<const Eigen::Vector3f> point_in_base) {
@@ -57,7 +54,8 @@ DriveRegistration::DriveRegistration(const DriveRegistrationConfig& config,
                                      const Pose2& map_from_base)
     : config_(config),
       start_map_from_base_(map_from_base),
-      local_map_(config.surface_voxel_size_m) {}
+      local_map_(config.surface_voxel_size_m),
+      places_(config.key_scans_per_place) {}
 
 void DriveRegistration::Add(const PreparedScan& scan, const ScanPreparation& preparation) {
   const Prediction predicted = Predict(scan, preparation);
@@ -82,11 +80,12 @@ void DriveRegistration::Add(const PreparedScan& scan, const ScanPreparation& pre
       registration.reset();
     }
   }
-  if (placed && IsKeyScan(scan, map_from_base) && TakePlace(map_from_base)) {
+  // The first scan is always kept.
+  if (placed && IsKeyScan(scan, map_from_base) &&
+      (places_.Take(geometry::ProjectToFloor(map_from_base)) || graph.scans.empty())) {
     Keep(scan, map_from_base, anchor, registration);
     anchor = static_cast<int>(graph.scans.size()) - 1;
   }
-  // The first scan is always kept.
   path.push_back({scan.stamp_ns, scan.odom_from_base, anchor,
                   graph.scans[anchor].map_from_base.inverse() * map_from_base});
   if (config_.align) CloseLoops(anchor);
@@ -101,7 +100,7 @@ DriveRegistration::Prediction DriveRegistration::Predict(const PreparedScan& sca
   const PathEntry& last = path.back();
   const Pose2 map_from_last = geometry::ProjectToFloor(PoseOf(last));
   const Pose2 last_from_base = last.odom_from_base.Inverse() * scan.odom_from_base;
-  const bool sound = preparation.IsSound(last_from_base, scan.stamp_ns - last.stamp_ns);
+  const bool sound = preparation.limits().Allow(last_from_base, scan.stamp_ns - last.stamp_ns);
   return {sound ? map_from_last * last_from_base : map_from_last, sound};
 }
 
@@ -163,19 +162,6 @@ bool DriveRegistration::IsKeyScan(const PreparedScan& scan, const Isometry3d& ma
           : last_key_odom_from_base_.Inverse() * scan.odom_from_base;
   return std::hypot(step.x_m, step.y_m) >= config_.key_scan_distance_m ||
          std::abs(step.yaw_rad) >= config_.key_scan_angle_rad;
-}
-
-bool DriveRegistration::TakePlace(const Isometry3d& map_from_base) {
-  const Pose2 pose = geometry::ProjectToFloor(map_from_base);
-  const double quarter = std::floor(pose.yaw_rad / (geometry::kPi / 2.0));
-  const auto key = geometry::KeyFromPoint(
-      Eigen::Vector3d(pose.x_m, pose.y_m, quarter * kPlace_m + kPlace_m / 2), kPlace_m);
-  // The first scan is kept wherever it is.
-  if (!key) return graph.scans.empty();
-  int& taken = places_[*key];
-  if (taken >= config_.key_scans_per_place) return false;
-  ++taken;
-  return true;
 }
 
 int DriveRegistration::NearestLocalScan(const Isometry3d& map_from_base) const {

@@ -1,10 +1,9 @@
 #pragma once
 
-#include <boost/unordered/unordered_flat_map.hpp>
 #include <optional>
 #include <vector>
 
-#include "geometry/voxel_key.h"
+#include "mapping/drive_limits.h"
 #include "mapping/key_scan_graph.h"
 #include "mapping/loop_closing.h"
 #include "mapping/point_thinning.h"
@@ -63,7 +62,6 @@ class DriveRegistration {
   Registration Align(const AlignedPoints& aligned, const Prediction& predicted,
                      frames::TimeNs stamp_ns) const;
   bool IsKeyScan(const PreparedScan& scan, const Eigen::Isometry3d& map_from_base) const;
-  bool TakePlace(const Eigen::Isometry3d& map_from_base);
   int NearestLocalScan(const Eigen::Isometry3d& map_from_base) const;
   void Keep(const PreparedScan& scan, const Eigen::Isometry3d& map_from_base, int anchor,
             const std::optional<Registration>& registration);
@@ -78,7 +76,7 @@ class DriveRegistration {
   double since_renewal_m_ = 0.0;
   double since_loop_m_ = 0.0;
   geometry::Pose2 last_key_odom_from_base_;
-  boost::unordered_flat_map<geometry::VoxelKey, int, std::hash<geometry::VoxelKey>> places_;
+  KeyScanPlaces places_;
 };
 
 }  // namespace soundmap::mapping

@@ -13,6 +13,7 @@
 #include "mapping/laser_loops.h"
 #include "mapping/laser_plan.h"
 #include "mapping/laser_relaxation.h"
+#include "mapping/planar_poses.h"
 #include "mapping/surveyed_poses.h"
 
 namespace soundmap::mapping {
@@ -30,10 +31,6 @@ constexpr double kPlacedWay_m = 10.0;
 
 // Shares of the progress: drives alone and their places (of several), loops, relaxation, rays.
 constexpr double kPlaced = 0.3, kClosed = 0.6, kRelaxed = 0.8;
-
-bool IsFinite(const Pose2& pose) {
-  return std::isfinite(pose.x_m) && std::isfinite(pose.y_m) && std::isfinite(pose.yaw_rad);
-}
 
 Progress Part(const Progress& progress, double begin, double end) {
   return [&progress, begin, end](double done) {
@@ -164,16 +161,19 @@ absl::Status FloorPlanMapper::Work::PlaceDrives(const Progress& progress) {
     if (!status.ok()) return status;
     for (const LaserKeyScan& scan : key_scans) drives_[i]->on_its_own.push_back(scan.map_from_base);
   }
-  std::vector<Eigen::Vector2f> placed = walls_;
-  const auto place = [&placed](Drive& drive, const Pose2& map_from_drive) {
+  std::optional<building::FloorPlan> plan;
+  if (extend_) plan = extend_->floor_plan;
+  const auto place = [this, &plan](Drive& drive, const Pose2& map_from_drive) -> absl::Status {
     drive.map_from_drive = map_from_drive;
-    for (LaserKeyScan& scan : drive.front_end.key_scans()) {
-      scan.map_from_base = map_from_drive * scan.map_from_base;
-      const std::vector<Eigen::Vector2f> in_map = InMap(scan);
-      placed.insert(placed.end(), in_map.begin(), in_map.end());
-    }
+    std::vector<LaserKeyScan>& key_scans = drive.front_end.key_scans();
+    for (LaserKeyScan& scan : key_scans) scan.map_from_base = map_from_drive * scan.map_from_base;
+    auto drawn = DrawFloorPlan(config_, key_scans, plan ? &*plan : nullptr, {});
+    if (drawn.ok()) plan = *std::move(drawn);
+    return drawn.status();
   };
-  if (!extend_) place(*drives_.front(), Pose2{});
+  if (!extend_) {
+    if (const absl::Status status = place(*drives_.front(), Pose2{}); !status.ok()) return status;
+  }
   int missing = 0;
   for (bool advanced = true; advanced;) {
     advanced = false;
@@ -184,10 +184,10 @@ absl::Status FloorPlanMapper::Work::PlaceDrives(const Progress& progress) {
       if (progress && !progress(0.5 + share * static_cast<double>(i))) {
         return absl::CancelledError("the mapping was cancelled");
       }
-      const auto found = PlaceLaserDrive(drive.front_end.key_scans(), placed, config_.wall_piece_m,
+      const auto found = PlaceLaserDrive(drive.front_end.key_scans(), *plan, config_.wall_piece_m,
                                          drive.start_is_known);
       if (found) {
-        place(drive, *found);
+        if (const absl::Status status = place(drive, *found); !status.ok()) return status;
         advanced = true;
       } else if (missing == 0) {
         missing = static_cast<int>(i) + 1;

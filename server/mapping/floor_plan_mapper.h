@@ -92,8 +92,6 @@ class FloorPlanMapper {
 
   // As Mapper's.
   absl::Status Add(const frames::Frame& frame);
-  // Among rooms that resemble each other a drive may still be placed at a wrong one, or refused
-  // where it overlaps: callers that cannot look at the result map one drive at a time.
   absl::Status BeginDrive(const frames::Calibration& calibration,
                           std::optional<geometry::Pose2> map_from_base);
   absl::StatusOr<FloorPlanResult> Finish(const std::function<bool(double)>& progress = {});

@@ -5,6 +5,7 @@
 
 #include "geometry/angles.h"
 #include "mapping/laser_search.h"
+#include "mapping/planar_poses.h"
 
 namespace soundmap::mapping {
 namespace {
@@ -36,8 +37,6 @@ constexpr double kMaxAcceleration_radps2 = 15.0;
 constexpr double kPriorMin_m = 0.05;
 constexpr double kPriorMin_rad = 0.02;
 constexpr double kPriorOfStep = 0.2;
-
-double Distance(const Pose2& a, const Pose2& b) { return std::hypot(a.x_m - b.x_m, a.y_m - b.y_m); }
 
 }  // namespace
 

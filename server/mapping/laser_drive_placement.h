@@ -1,21 +1,20 @@
 #pragma once
 
-#include <Eigen/Core>
 #include <optional>
-#include <span>
 #include <vector>
 
+#include "building/floor_plan.h"
 #include "geometry/pose.h"
 #include "mapping/laser_loops.h"
 
 namespace soundmap::mapping {
 
-// Where a drive's own map, its loops closed, lies in another one, by its walls: near where it is if
-// `near_start`, else, or if it does not fit there, anywhere. Several pieces of the drive, spread
-// over it, must be found where the others say that they are, held in every direction, and no other
-// place may do nearly as well. None if that fails.
+// Where a drive's own map, its loops closed, lies in a floor plan: near where it is if
+// `near_start`, else, or if it does not fit there, anywhere. Some metres of its way must lie in
+// what the plan knows to be free, see its walls where they are, be held by them in every direction
+// and look through none; and no other place may do nearly as well. None if that fails.
 std::optional<geometry::Pose2> PlaceLaserDrive(const std::vector<LaserKeyScan>& drive,
-                                               std::span<const Eigen::Vector2f> point_in_map,
-                                               double wall_piece_m, bool near_start);
+                                               const building::FloorPlan& plan, double wall_piece_m,
+                                               bool near_start);
 
 }  // namespace soundmap::mapping

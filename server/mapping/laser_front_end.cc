@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "geometry/angles.h"
 #include "mapping/laser_matching.h"
+#include "mapping/planar_poses.h"
 
 namespace soundmap::mapping {
 namespace {
@@ -20,11 +21,6 @@ using geometry::Pose2;
 // Scans that wait for the odometry of their end; more than this and the odometry is taken to have
 // ended.
 constexpr std::size_t kMaxWaitingScans = 256;
-constexpr TimeNs kMaxStamp_ns = TimeNs{1} << 62;
-constexpr double kHoldOdometry_s = 0.2;
-// Odometry of two stamps close together may differ by this without being a fault.
-constexpr double kJitter_m = 0.05;
-constexpr double kJitter_rad = 0.05;
 
 // One point in each square of this size is enough to align a scan.
 constexpr float kMatchedPoints_m = 0.05f;
@@ -44,10 +40,6 @@ constexpr double kUnregisteredVariance = 10.0;
 constexpr TimeNs kMaxLagStep_ns = 1'000'000'000;
 constexpr double kMaxLagStd_s = 0.01;
 
-constexpr double kPlace_m = 1.0;
-
-double Distance(const Pose2& a, const Pose2& b) { return std::hypot(a.x_m - b.x_m, a.y_m - b.y_m); }
-
 }  // namespace
 
 LaserFrontEnd::LaserFrontEnd(const FloorPlanMapperConfig& config,
@@ -55,8 +47,10 @@ LaserFrontEnd::LaserFrontEnd(const FloorPlanMapperConfig& config,
     : config_(config),
       calibration_(calibration),
       start_map_from_base_(map_from_base),
+      limits_{config.max_speed_mps, config.max_turn_rate_radps},
       lag_ns_(frames::NsFromSeconds(config.laser_lag_s.value_or(0.0))),
-      local_map_(config.wall_piece_m, config.local_map_m) {}
+      local_map_(config.wall_piece_m, config.local_map_m),
+      places_(config.key_scans_per_place) {}
 
 void LaserFrontEnd::LocalMap::Insert(std::span<const Eigen::Vector2f> point_in_map, double way_m) {
   if (way_m - current_from_m_ >= length_m_ && next_.size() > 0) {
@@ -73,7 +67,7 @@ void LaserFrontEnd::LocalMap::Insert(std::span<const Eigen::Vector2f> point_in_m
 }
 
 absl::Status LaserFrontEnd::Add(const frames::Odometry& odometry) {
-  if (odometry.stamp_ns < 0 || odometry.stamp_ns > kMaxStamp_ns) {
+  if (!IsStamp(odometry.stamp_ns)) {
     return absl::InvalidArgumentError("an odometry frame's stamp is out of range");
   }
   if (!track_.Add(odometry)) return absl::OkStatus();
@@ -85,7 +79,7 @@ absl::Status LaserFrontEnd::Add(const frames::Odometry& odometry) {
 
 absl::Status LaserFrontEnd::Add(const frames::LaserScan& scan) {
   ++report_.scans;
-  if (scan.stamp_ns < 0 || scan.stamp_ns > kMaxStamp_ns) {
+  if (!IsStamp(scan.stamp_ns)) {
     ++report_.scans_dropped;
     return absl::InvalidArgumentError("an LRF scan's stamp is out of range");
   }
@@ -180,15 +174,12 @@ void LaserFrontEnd::Process(const WaitingScan& waiting) {
   if (placed && HasMoved(entry.map_from_base)) {
     inserted_at_ = entry.map_from_base;
     std::vector<Eigen::Vector2f> in_map;
-    const Eigen::Isometry2f map_from_base =
-        Eigen::Translation2f(static_cast<float>(entry.map_from_base.x_m),
-                             static_cast<float>(entry.map_from_base.y_m)) *
-        Eigen::Rotation2Df(static_cast<float>(entry.map_from_base.yaw_rad));
+    const Eigen::Isometry2f map_from_base = InPlane(entry.map_from_base);
     for (const Eigen::Vector2f& point : points->point_in_base) {
       in_map.push_back(map_from_base * point);
     }
     local_map_.Insert(in_map, way_m_);
-    if (TakePlace(entry.map_from_base)) {
+    if (places_.Take(entry.map_from_base)) {
       entry.key_scan = key_scans_.size();
       Keep(entry, *std::move(points), std::move(to_match));
     }
@@ -222,12 +213,6 @@ void LaserFrontEnd::Keep(const LaserPathEntry& entry, LaserPoints points,
   key_scans_.push_back(std::move(key_scan));
 }
 
-bool LaserFrontEnd::IsSound(const Pose2& step, TimeNs duration_ns) const {
-  const double duration_s = SecondsFromNs(duration_ns);
-  return std::hypot(step.x_m, step.y_m) <= config_.max_speed_mps * duration_s + kJitter_m &&
-         std::abs(step.yaw_rad) <= config_.max_turn_rate_radps * duration_s + kJitter_rad;
-}
-
 Pose2 LaserFrontEnd::Predict(TimeNs stamp_ns, const Pose2& odom_from_base,
                              bool& odometry_is_sound) const {
   if (path_.empty()) {
@@ -235,7 +220,7 @@ Pose2 LaserFrontEnd::Predict(TimeNs stamp_ns, const Pose2& odom_from_base,
   }
   const LaserPathEntry& last = path_.back();
   const Pose2 last_from_base = last.odom_from_base.Inverse() * odom_from_base;
-  odometry_is_sound = IsSound(last_from_base, stamp_ns - last.stamp_ns);
+  odometry_is_sound = limits_.Allow(last_from_base, stamp_ns - last.stamp_ns);
   return odometry_is_sound ? last.map_from_base * last_from_base : last.map_from_base;
 }
 
@@ -244,18 +229,6 @@ bool LaserFrontEnd::HasMoved(const Pose2& map_from_base) const {
   const Pose2 step = inserted_at_->Inverse() * map_from_base;
   return std::hypot(step.x_m, step.y_m) >= config_.key_scan_distance_m ||
          std::abs(step.yaw_rad) >= config_.key_scan_angle_rad;
-}
-
-bool LaserFrontEnd::TakePlace(const Pose2& map_from_base) {
-  const auto square = SquareOf(
-      Eigen::Vector2f(static_cast<float>(map_from_base.x_m), static_cast<float>(map_from_base.y_m)),
-      kPlace_m);
-  if (!square) return false;
-  const int quarter = static_cast<int>(std::floor(map_from_base.yaw_rad / (geometry::kPi / 2.0)));
-  int& taken = places_[KeyOf(Square(4 * square->x() + (quarter & 3), square->y()))];
-  if (taken >= config_.key_scans_per_place) return false;
-  ++taken;
-  return true;
 }
 
 absl::Status LaserFrontEnd::NothingToMap() const {

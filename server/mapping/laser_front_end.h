@@ -1,8 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <boost/unordered/unordered_flat_map.hpp>
-#include <cstdint>
 #include <deque>
 #include <optional>
 #include <span>
@@ -11,6 +9,7 @@
 #include "absl/status/status.h"
 #include "frames/laser_lag.h"
 #include "frames/odometry_track.h"
+#include "mapping/drive_limits.h"
 #include "mapping/floor_plan_mapper.h"
 #include "mapping/laser_alignment.h"
 #include "mapping/laser_lines.h"
@@ -61,18 +60,17 @@ class LaserFrontEnd {
     double next_from_m_ = 0.0;
   };
 
-  bool IsSound(const geometry::Pose2& step, frames::TimeNs duration_ns) const;
   void ProcessWaiting(bool all);
   void Process(const WaitingScan& waiting);
   geometry::Pose2 Predict(frames::TimeNs stamp_ns, const geometry::Pose2& odom_from_base,
                           bool& odometry_is_sound) const;
   void Keep(const LaserPathEntry& entry, LaserPoints points, std::vector<Eigen::Vector2f> to_match);
   bool HasMoved(const geometry::Pose2& map_from_base) const;
-  bool TakePlace(const geometry::Pose2& map_from_base);
 
   const FloorPlanMapperConfig config_;
   const frames::Calibration calibration_;
   const geometry::Pose2 start_map_from_base_;
+  const MotionLimits limits_;
   frames::TimeNs lag_ns_;
   frames::LaserLag lag_;
 
@@ -88,7 +86,7 @@ class LaserFrontEnd {
   int unregistered_in_a_row_ = 0;
   Eigen::Matrix3d match_covariance_ = Eigen::Matrix3d::Zero();  // of the last scan
   Eigen::Matrix3d unregistered_covariance_ = Eigen::Matrix3d::Zero();
-  boost::unordered_flat_map<std::int64_t, int> places_;
+  KeyScanPlaces places_;
   FloorPlanReport report_;
   int scans_without_points_ = 0;
   int scans_without_odometry_ = 0;

@@ -11,6 +11,7 @@
 #include "mapping/laser_lines.h"
 #include "mapping/laser_matching.h"
 #include "mapping/laser_search.h"
+#include "mapping/planar_poses.h"
 #include "mapping/pose_graph.h"
 #include "mapping/surveyed_poses.h"
 
@@ -69,10 +70,7 @@ Eigen::Matrix<double, 6, 6> InSpace(const Eigen::Matrix3d& information) {
 
 void Append(const Pose2& map_from_points, const std::vector<Eigen::Vector2f>& points,
             std::vector<Eigen::Vector2f>& point_in_map) {
-  const Eigen::Isometry2f transform =
-      Eigen::Translation2f(static_cast<float>(map_from_points.x_m),
-                           static_cast<float>(map_from_points.y_m)) *
-      Eigen::Rotation2Df(static_cast<float>(map_from_points.yaw_rad));
+  const Eigen::Isometry2f transform = InPlane(map_from_points);
   for (const Eigen::Vector2f& point : points) point_in_map.push_back(transform * point);
 }
 

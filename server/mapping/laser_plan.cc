@@ -11,17 +11,13 @@
 #include "mapping/laser_lines.h"
 #include "mapping/laser_relaxation.h"
 #include "mapping/occupancy_grid.h"
+#include "mapping/planar_poses.h"
 
 namespace soundmap::mapping {
 namespace {
 
 // At most so much of a ray is taken to graze its wall.
 constexpr float kMaxMargin_m = 1.0f;
-
-Eigen::Isometry2f InPlane(const geometry::Pose2& pose) {
-  return Eigen::Translation2f(static_cast<float>(pose.x_m), static_cast<float>(pose.y_m)) *
-         Eigen::Rotation2Df(static_cast<float>(pose.yaw_rad));
-}
 
 // Of one layer, moved so that its cells are an octree's voxels.
 octomap::OcTree AsOctree(const building::FloorPlan& floor_plan,

@@ -3,14 +3,10 @@
 #include <boost/unordered/unordered_flat_set.hpp>
 #include <cmath>
 
+#include "mapping/drive_limits.h"
 #include "mapping/laser_lines.h"
 
 namespace soundmap::mapping {
-namespace {
-
-constexpr double kHoldOdometry_s = 0.2;
-
-}  // namespace
 
 std::optional<LaserPoints> PointsOf(const frames::LaserScan& scan,
                                     const frames::Calibration& calibration, double min_range_m,

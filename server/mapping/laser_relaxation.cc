@@ -4,6 +4,7 @@
 
 #include "mapping/laser_lines.h"
 #include "mapping/laser_matching.h"
+#include "mapping/planar_poses.h"
 #include "mapping/surveyed_poses.h"
 
 namespace soundmap::mapping {
@@ -18,10 +19,7 @@ constexpr int kWallWeight = 50;
 }  // namespace
 
 std::vector<Eigen::Vector2f> InMap(const LaserKeyScan& key_scan) {
-  const Eigen::Isometry2f map_from_base =
-      Eigen::Translation2f(static_cast<float>(key_scan.map_from_base.x_m),
-                           static_cast<float>(key_scan.map_from_base.y_m)) *
-      Eigen::Rotation2Df(static_cast<float>(key_scan.map_from_base.yaw_rad));
+  const Eigen::Isometry2f map_from_base = InPlane(key_scan.map_from_base);
   std::vector<Eigen::Vector2f> in_map;
   in_map.reserve(key_scan.points.point_in_base.size());
   for (const Eigen::Vector2f& point : key_scan.points.point_in_base) {

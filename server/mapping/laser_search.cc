@@ -83,7 +83,7 @@ double LaserSearch::Score(const Rotation& rotation, int x, int y, int level) con
 
 // Depth first, best first; `best` gets what scores more. True if it has changed.
 bool LaserSearch::Descend(const std::vector<Rotation>& rotations, std::vector<Candidate> candidates,
-                          int level, int window_cells, const std::optional<Excluded>& excluded,
+                          int level, int window_cells, std::span<const Candidate> excluded,
                           Candidate& best) const {
   std::stable_sort(candidates.begin(), candidates.end(),
                    [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
@@ -91,15 +91,13 @@ bool LaserSearch::Descend(const std::vector<Rotation>& rotations, std::vector<Ca
   for (const Candidate& candidate : candidates) {
     if (candidate.score <= best.score) break;
     if (level == 0) {
-      if (excluded) {
-        const bool near =
-            std::hypot(candidate.x - excluded->best.x, candidate.y - excluded->best.y) <
-                excluded->min_cells &&
-            std::abs(geometry::NormalizeAngle(rotations[candidate.rotation].yaw_rad -
-                                              rotations[excluded->best.rotation].yaw_rad)) <
-                excluded->min_angle_rad;
-        if (near) continue;
-      }
+      const auto is_near = [&](const Candidate& other) {
+        return std::hypot(candidate.x - other.x, candidate.y - other.y) < kOtherPlace_m / cell_m_ &&
+               std::abs(geometry::NormalizeAngle(rotations[candidate.rotation].yaw_rad -
+                                                 rotations[other.rotation].yaw_rad)) <
+                   kOtherPlace_rad;
+      };
+      if (std::any_of(excluded.begin(), excluded.end(), is_near)) continue;
       best = candidate;
       return true;  // the others score no more
     }
@@ -118,9 +116,9 @@ bool LaserSearch::Descend(const std::vector<Rotation>& rotations, std::vector<Ca
   return found;
 }
 
-std::optional<LaserSearch::Candidate> LaserSearch::Best(
-    const std::vector<Rotation>& rotations, int window_cells, double min_score,
-    const std::optional<Excluded>& excluded) const {
+std::optional<LaserSearch::Candidate> LaserSearch::Best(const std::vector<Rotation>& rotations,
+                                                        int window_cells, double min_score,
+                                                        std::span<const Candidate> excluded) const {
   int level = 0;
   while (level + 1 < kLevels && (1 << level) < window_cells) ++level;
   std::vector<Candidate> candidates;
@@ -139,11 +137,9 @@ std::optional<LaserSearch::Candidate> LaserSearch::Best(
   return best;
 }
 
-std::optional<LaserSearchResult> LaserSearch::Find(std::span<const Eigen::Vector2f> point_in_base,
-                                                   const geometry::Pose2& start_map_from_base,
-                                                   const LaserWindow& window,
-                                                   double min_score) const {
-  if (levels_.empty()) return std::nullopt;
+std::vector<LaserSearch::Rotation> LaserSearch::Rotations(
+    std::span<const Eigen::Vector2f> point_in_base, const geometry::Pose2& start_map_from_base,
+    const LaserWindow& window) const {
   std::vector<Eigen::Vector2f> points;
   double furthest_m = 1.0;
   for (const Eigen::Vector2f& point : point_in_base) {
@@ -152,11 +148,11 @@ std::optional<LaserSearchResult> LaserSearch::Find(std::span<const Eigen::Vector
     furthest_m = std::max(furthest_m, distance_m);
     points.push_back(point);
   }
-  if (points.empty()) return std::nullopt;
+  std::vector<Rotation> rotations;
+  if (points.empty()) return rotations;
   // So fine that no point moves by more than a cell.
   const double step_rad = cell_m_ / furthest_m;
   const int steps = static_cast<int>(std::ceil(window.angle_rad / step_rad));
-  std::vector<Rotation> rotations;
   for (int i = -steps; i <= steps; ++i) {
     Rotation rotation;
     rotation.yaw_rad = start_map_from_base.yaw_rad + i * step_rad;
@@ -170,17 +166,40 @@ std::optional<LaserSearchResult> LaserSearch::Find(std::span<const Eigen::Vector
     }
     if (rotation.cells.size() == points.size()) rotations.push_back(std::move(rotation));
   }
+  return rotations;
+}
+
+std::vector<LaserSearchResult> LaserSearch::FindSeveral(
+    std::span<const Eigen::Vector2f> point_in_base, const geometry::Pose2& start_map_from_base,
+    const LaserWindow& window, double min_score, double min_share, int max_places) const {
+  std::vector<LaserSearchResult> results;
+  if (levels_.empty()) return results;
+  const std::vector<Rotation> rotations = Rotations(point_in_base, start_map_from_base, window);
   const int window_cells = std::max(1, static_cast<int>(std::ceil(window.distance_m / cell_m_)));
-  const auto best = Best(rotations, window_cells, min_score, std::nullopt);
-  if (!best) return std::nullopt;
-  LaserSearchResult result;
-  result.map_from_base = {start_map_from_base.x_m + static_cast<double>(best->x) * cell_m_,
-                          start_map_from_base.y_m + static_cast<double>(best->y) * cell_m_,
-                          geometry::NormalizeAngle(rotations[best->rotation].yaw_rad)};
-  result.score = best->score;
-  result.unique = !Best(rotations, window_cells, kAlmostAsGood * best->score,
-                        Excluded{*best, kOtherPlace_m / cell_m_, kOtherPlace_rad});
-  return result;
+  std::vector<Candidate> found;
+  while (static_cast<int>(found.size()) < max_places) {
+    const auto next = Best(rotations, window_cells,
+                           found.empty() ? min_score : min_share * found.front().score, found);
+    if (!next) break;
+    found.push_back(*next);
+    results.push_back({{start_map_from_base.x_m + static_cast<double>(next->x) * cell_m_,
+                        start_map_from_base.y_m + static_cast<double>(next->y) * cell_m_,
+                        geometry::NormalizeAngle(rotations[next->rotation].yaw_rad)},
+                       next->score,
+                       false});
+  }
+  for (LaserSearchResult& result : results) result.unique = results.size() == 1;
+  return results;
+}
+
+std::optional<LaserSearchResult> LaserSearch::Find(std::span<const Eigen::Vector2f> point_in_base,
+                                                   const geometry::Pose2& start_map_from_base,
+                                                   const LaserWindow& window,
+                                                   double min_score) const {
+  const std::vector<LaserSearchResult> found =
+      FindSeveral(point_in_base, start_map_from_base, window, min_score, kAlmostAsGood, 2);
+  if (found.empty()) return std::nullopt;
+  return found.front();
 }
 
 }  // namespace soundmap::mapping

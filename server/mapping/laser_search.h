@@ -35,6 +35,13 @@ class LaserSearch {
                                         const geometry::Pose2& start_map_from_base,
                                         const LaserWindow& window, double min_score) const;
 
+  // The best places, best first: each apart from the ones before, and with at least this share of
+  // the first one's score.
+  std::vector<LaserSearchResult> FindSeveral(std::span<const Eigen::Vector2f> point_in_base,
+                                             const geometry::Pose2& start_map_from_base,
+                                             const LaserWindow& window, double min_score,
+                                             double min_share, int max_places) const;
+
  private:
   struct Candidate {
     int rotation = 0;
@@ -45,17 +52,14 @@ class LaserSearch {
     double yaw_rad = 0.0;
     std::vector<Eigen::Vector2i> cells;  // of the points, at the start's place
   };
-  struct Excluded {
-    Candidate best;
-    double min_cells = 0.0;
-    double min_angle_rad = 0.0;
-  };
-
   double Score(const Rotation& rotation, int x, int y, int level) const;
   std::optional<Candidate> Best(const std::vector<Rotation>& rotations, int window_cells,
-                                double min_score, const std::optional<Excluded>& excluded) const;
+                                double min_score, std::span<const Candidate> excluded) const;
+  std::vector<Rotation> Rotations(std::span<const Eigen::Vector2f> point_in_base,
+                                  const geometry::Pose2& start_map_from_base,
+                                  const LaserWindow& window) const;
   bool Descend(const std::vector<Rotation>& rotations, std::vector<Candidate> candidates, int level,
-               int window_cells, const std::optional<Excluded>& excluded, Candidate& best) const;
+               int window_cells, std::span<const Candidate> excluded, Candidate& best) const;
 
   float cell_m_;
   Eigen::Vector2i origin_;  // cell of the grid's corner

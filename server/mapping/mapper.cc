@@ -13,6 +13,7 @@
 #include "mapping/drive_registration.h"
 #include "mapping/loop_closing.h"
 #include "mapping/odometry_scale.h"
+#include "mapping/planar_poses.h"
 #include "mapping/surveyed_poses.h"
 
 namespace soundmap::mapping {
@@ -34,14 +35,11 @@ constexpr double kPlaced = 0.2;
 constexpr double kRelaxed = 0.6;
 constexpr double kCast = 0.95;
 
-bool IsFinite(const Pose2& pose) {
-  return std::isfinite(pose.x_m) && std::isfinite(pose.y_m) && std::isfinite(pose.yaw_rad);
-}
-
 absl::Status Cancelled() { return absl::CancelledError("the mapping was cancelled"); }
 
 ScanPreparationConfig PreparationOf(const MapperConfig& config) {
-  return {config.min_range_m, config.max_range_m, config.max_speed_mps, config.max_turn_rate_radps};
+  return {
+      config.min_range_m, config.max_range_m, {config.max_speed_mps, config.max_turn_rate_radps}};
 }
 
 DriveRegistrationConfig RegistrationOf(const MapperConfig& config, bool align) {

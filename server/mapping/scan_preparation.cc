@@ -6,37 +6,24 @@
 namespace soundmap::mapping {
 namespace {
 
-using frames::SecondsFromNs;
 using frames::TimeNs;
 using geometry::Pose2;
 
 // Scans that wait for the odometry of their end; more than this and the odometry is taken to have
 // ended.
 constexpr std::size_t kMaxWaitingScans = 32;
-// Stamps up to the year 2116, so that sums of them do not overflow.
-constexpr TimeNs kMaxStamp_ns = TimeNs{1} << 62;
-constexpr double kHoldOdometry_s = 0.2;
-// Odometry of two stamps close together may differ by this without being a fault.
-constexpr double kJitter_m = 0.05;
-constexpr double kJitter_rad = 0.05;
 
 }  // namespace
 
-bool ScanPreparation::IsSound(const Pose2& step, TimeNs duration_ns) const {
-  const double duration_s = SecondsFromNs(duration_ns);
-  return std::hypot(step.x_m, step.y_m) <= config_.max_speed_mps * duration_s + kJitter_m &&
-         std::abs(step.yaw_rad) <= config_.max_turn_rate_radps * duration_s + kJitter_rad;
-}
-
 absl::Status ScanPreparation::Add(const frames::Odometry& odometry) {
-  if (odometry.stamp_ns < 0 || odometry.stamp_ns > kMaxStamp_ns) {
+  if (!IsStamp(odometry.stamp_ns)) {
     return absl::InvalidArgumentError("an odometry frame's stamp is out of range");
   }
   const std::optional<frames::Odometry> before =
       track_.empty() ? std::nullopt : std::optional(track_.entries().back());
   if (!track_.Add(odometry)) return absl::OkStatus();
-  if (before && !IsSound(before->odom_from_base.Inverse() * odometry.odom_from_base,
-                         odometry.stamp_ns - before->stamp_ns)) {
+  if (before && !config_.limits.Allow(before->odom_from_base.Inverse() * odometry.odom_from_base,
+                                      odometry.stamp_ns - before->stamp_ns)) {
     jump_begin_ns_ = before->stamp_ns;
     jump_end_ns_ = odometry.stamp_ns;
   }
@@ -46,7 +33,7 @@ absl::Status ScanPreparation::Add(const frames::Odometry& odometry) {
 
 absl::Status ScanPreparation::Add(const frames::LidarScan& scan) {
   ++scans_;
-  if (scan.stamp_ns < 0 || scan.stamp_ns > kMaxStamp_ns) {
+  if (!IsStamp(scan.stamp_ns)) {
     ++dropped_;
     return absl::InvalidArgumentError("a LIDAR scan's stamp is out of range");
   }

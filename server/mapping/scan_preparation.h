@@ -10,6 +10,7 @@
 #include "frames/frames.h"
 #include "frames/odometry_track.h"
 #include "geometry/pose.h"
+#include "mapping/drive_limits.h"
 #include "mapping/key_scan_graph.h"
 
 namespace soundmap::mapping {
@@ -17,8 +18,7 @@ namespace soundmap::mapping {
 struct ScanPreparationConfig {
   double min_range_m = 0.4;
   double max_range_m = 40.0;
-  double max_speed_mps = 4.0;
-  double max_turn_rate_radps = 6.0;
+  MotionLimits limits;
 };
 
 // A LIDAR sweep with its points in range, straightened: all are as if taken in its middle.
@@ -45,9 +45,7 @@ class ScanPreparation {
   // that wait still come as far as the odometry reaches.
   std::optional<PreparedScan> Next(bool end);
 
-  // Whether a robot can make this step in that time.
-  bool IsSound(const geometry::Pose2& step, frames::TimeNs duration_ns) const;
-
+  const MotionLimits& limits() const { return config_.limits; }
   const frames::OdometryTrack& track() const { return track_; }
   const std::optional<geometry::Pose2>& first_odom_from_base() const { return first_; }
   int scans() const { return scans_; }

@@ -5,22 +5,13 @@
 #include <iterator>
 
 #include "absl/strings/str_cat.h"
+#include "mapping/drive_limits.h"
+#include "mapping/planar_poses.h"
 
 namespace soundmap::mapping {
-namespace {
 
 using frames::TimeNs;
 using geometry::Pose2;
-
-// Stamps up to the year 2116, so that sums of them do not overflow.
-constexpr TimeNs kMaxStamp_ns = TimeNs{1} << 62;
-constexpr double kHoldOdometry_s = 0.2;
-
-bool IsFinite(const Pose2& pose) {
-  return std::isfinite(pose.x_m) && std::isfinite(pose.y_m) && std::isfinite(pose.yaw_rad);
-}
-
-}  // namespace
 
 Pose2 Between(const Pose2& map_from_begin, const Pose2& odom_from_begin, const Pose2& map_from_end,
               const Pose2& odom_from_end, const Pose2& odom_from_base, double fraction) {
@@ -35,8 +26,7 @@ absl::StatusOr<SurveyedPoses> SurveyedPoses::Create(std::vector<StampedPose> pos
   }
   SurveyedPoses surveyed;
   for (std::size_t i = 0; i < poses.size(); ++i) {
-    if (!IsFinite(poses[i].map_from_base) || poses[i].stamp_ns < 0 ||
-        poses[i].stamp_ns > kMaxStamp_ns) {
+    if (!IsFinite(poses[i].map_from_base) || !IsStamp(poses[i].stamp_ns)) {
       return absl::InvalidArgumentError(
           absl::StrCat("the surveyed pose ", i, " is not finite or its time is out of range"));
     }

@@ -87,23 +87,25 @@ std::function<bool(double)> FinishProgress(OperationContext& context) {
 
 absl::StatusOr<DrivenMap> MapByLaser(const std::vector<SessionRecord>& drives,
                                      const std::vector<mapping::StampedPose>& surveyed_poses,
+                                     const std::shared_ptr<const building::Building>& extend,
                                      const mapping::FloorPlanMapperConfig& config,
                                      DriveReader& reader, OperationContext& context) {
-  if (drives.size() > 1) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        "the mapping drives have no LIDAR, and floor plans of several drives cannot be merged; "
-        "name one, such as '",
-        drives.back().session, "'"));
-  }
-  const SessionRecord& drive = drives.front();
-  auto mapper = mapping::FloorPlanMapper::Create(
-      config, drive.calibration, drive.initial_pose.value_or(geometry::Pose2{}), surveyed_poses);
+  const SessionRecord& first = drives.front();
+  auto mapper = mapping::FloorPlanMapper::Create(config, first.calibration,
+                                                 first.initial_pose.value_or(geometry::Pose2{}),
+                                                 surveyed_poses, extend);
   if (!mapper.ok()) return mapper.status();
-  const absl::Status read =
-      reader.Read(drive, [&](const frames::Frame& frame) { mapper->Add(frame).IgnoreError(); });
-  if (!read.ok()) return read;
+  for (const SessionRecord& drive : drives) {
+    if (&drive != &first) {
+      const absl::Status begun = mapper->BeginDrive(drive.calibration, drive.initial_pose);
+      if (!begun.ok()) return begun;
+    }
+    const absl::Status read =
+        reader.Read(drive, [&](const frames::Frame& frame) { mapper->Add(frame).IgnoreError(); });
+    if (!read.ok()) return read;
+  }
   auto result = mapper->Finish(FinishProgress(context));
-  if (!result.ok()) return result.status();
+  if (!result.ok()) return NameDrives(result.status(), drives);
   nlohmann::json report = ToJson(result->report, drives);
   report["laser_lag_s"] = result->report.laser_lag_s;
   return DrivenMap{std::move(result->building), report.dump()};
@@ -121,6 +123,9 @@ absl::StatusOr<DrivenMap> MapDrives(const std::vector<SessionRecord>& drives,
     return absl::InvalidArgumentError("surveyed poses place one mapping drive, not several");
   }
   DriveReader reader(drives, store, decode, context);
+  if (extend && !extend->octree) {
+    return MapByLaser(drives, surveyed_poses, extend, profile.floor_plan_mapping, reader, context);
+  }
   const SessionRecord& first = drives.front();
   auto mapper = mapping::Mapper::Create(profile.mapping, first.calibration,
                                         first.initial_pose.value_or(geometry::Pose2{}),
@@ -138,12 +143,8 @@ absl::StatusOr<DrivenMap> MapDrives(const std::vector<SessionRecord>& drives,
     });
     if (!read.ok()) return read;
   }
-  if (!has_lidar && extend) {
-    return absl::FailedPreconditionError(
-        "a mapping drive without a LIDAR cannot extend a map; build one from it");
-  }
   if (!has_lidar) {
-    return MapByLaser(drives, surveyed_poses, profile.floor_plan_mapping, reader, context);
+    return MapByLaser(drives, surveyed_poses, extend, profile.floor_plan_mapping, reader, context);
   }
   auto result = mapper->Finish(FinishProgress(context));
   if (!result.ok()) return NameDrives(result.status(), drives);

@@ -21,8 +21,9 @@ struct DrivenMap {
 
 // Reads the logs of complete mapping drives through the mapping module, with surveyed poses instead
 // of registration if there are any. The first drive fixes the frame, or `extend` does where it is
-// given. Drives without a LIDAR become a floor plan. FailedPrecondition names a drive that does not
-// overlap the others.
+// given. Drives without a LIDAR become a floor plan, and extend that of a map that has no more or,
+// its octree left as it is, of one that has. FailedPrecondition names a drive that does not overlap
+// the others.
 absl::StatusOr<DrivenMap> MapDrives(const std::vector<SessionRecord>& drives,
                                     const std::vector<mapping::StampedPose>& surveyed_poses,
                                     const std::shared_ptr<const building::Building>& extend,

@@ -14,8 +14,8 @@ def simulate(scene, name, *arguments):
                    check=True)
 
 
-def alter(name, change):
-    out = DRIVES / f"{change.replace(':', '_')}.mcap"
+def alter(name, change, altered=None):
+    out = DRIVES / f"{altered or change.replace(':', '_')}.mcap"
     subprocess.run([BIN / "alter_drive", DRIVES / f"{name}.mcap", out, change], check=True)
 
 
@@ -49,6 +49,9 @@ def main():
     alter("office_mapping", "no_lidar")
     alter("office_mapping", "until:30")
     alter("office_mapping", "from:20")
+    alter("mapping", "no_lidar", "mapping_no_lidar")
+    alter("until_30", "no_lidar", "until_30_no_lidar")
+    alter("from_20", "no_lidar", "from_20_no_lidar")
     for change in ("no_audio", "microphones:0", "microphones:3", "nan_ranges", "invalid_lidar", "backwards",
                    "dead_microphone"):
         alter("short", change)

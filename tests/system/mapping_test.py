@@ -58,6 +58,21 @@ class MappingTest(ProgramTest):
         self.assertEqual(len(report["sessions"]), 1)
         self.assertLessEqual(self.pose_error_m(server), 0.05)
 
+    def test_drives_with_an_lrf_alone_merge_and_extend(self):
+        server = self.server()
+        self.ok(server, "soundmap", "site", "create", "site")
+        self.replay_mapping(server, DRIVES / "until_30_no_lidar.mcap", pose_of=MAPPING)
+        self.build(server)
+        self.replay_mapping(server, DRIVES / "from_20_no_lidar.mcap", "second-mapper")
+        report = self.build(server, "--extend")
+        self.assertEqual(len(report["sessions"]), 1)
+        self.assertLessEqual(self.pose_error_m(server), 0.05)
+        report = self.build(server)
+        self.assertEqual(len(report["sessions"]), 2)
+        self.replay_mapping(server, DRIVES / "mapping_no_lidar.mcap", "lost-mapper")
+        self.refused(server, "soundmap", "map", "build", "site", says="does not overlap")
+        self.refused(server, "soundmap", "map", "build", "site", "--extend", says="does not overlap")
+
     def test_a_drive_through_another_building_is_refused(self):
         server = self.server()
         self.ok(server, "soundmap", "site", "create", "site")
