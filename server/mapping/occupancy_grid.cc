@@ -74,6 +74,8 @@ struct OccupancyGrid::Block {
   Marks known;             // hit or missed by any
   geometry::VoxelKey key;  // of the block: voxel key / 8
   bool touched = false;    // by the present scan
+  // Through its faces, the lower and the upper one of each axis, as far as rays have passed there.
+  std::array<Block*, 6> next{};
   std::array<std::int16_t, kBlockSize * kLayerCells> log_odds{};
 };
 
@@ -118,8 +120,7 @@ OccupancyGrid::Block* OccupancyGrid::BlockAt(int x, int y, int z) {
   return blocks_.back().get();
 }
 
-OccupancyGrid::Block* OccupancyGrid::Touch(int x, int y, int z) {
-  Block* block = BlockAt(x, y, z);
+OccupancyGrid::Block* OccupancyGrid::Touch(Block* block) {
   if (block && !block->touched) {
     block->touched = true;
     touched_.push_back(block);
@@ -183,8 +184,17 @@ bool OccupancyGrid::CastFree(const Ray& ray) {
   int block_x = 0, block_y = 0, block_z = 0;  // of any voxel in it
   int together = 0;                           // voxels in a row that other rays have passed
   for (;;) {
-    if (!block || (((x ^ block_x) | (y ^ block_y) | (z ^ block_z)) >> kBlockBits) != 0) {
-      block = Touch(x, y, z);
+    const int out_x = (x ^ block_x) >> kBlockBits, out_y = (y ^ block_y) >> kBlockBits,
+              out_z = (z ^ block_z) >> kBlockBits;
+    if (!block || (out_x | out_y | out_z) != 0) {
+      if (block) {
+        const int axis = out_x != 0 ? 0 : out_y != 0 ? 1 : 2;
+        Block*& next = block->next[2 * axis + (step[axis] > 0)];
+        if (!next) next = BlockAt(x, y, z);
+        block = Touch(next);
+      } else {
+        block = Touch(BlockAt(x, y, z));
+      }
       if (!block) return false;
       block_x = x;
       block_y = y;
@@ -260,7 +270,7 @@ absl::Status OccupancyGrid::MarkScan(std::span<const Ray> rays) {
     if (!geometry::KeyFromPoint(ray.origin_in_map.cast<double>(), voxel_size_m_)) continue;
     const auto key = geometry::KeyFromPoint(ray.end_in_map.cast<double>(), voxel_size_m_);
     if (!key) continue;
-    Block* block = Touch(key->x, key->y, key->z);
+    Block* block = Touch(BlockAt(key->x, key->y, key->z));
     if (!block) return Full();
     block->hit.Set(CellInBlock(key->x, key->y, key->z));
     if (!CastFree(ray)) return Full();

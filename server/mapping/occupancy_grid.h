@@ -60,7 +60,7 @@ class OccupancyGrid {
   struct Block;
 
   Block* BlockAt(int x, int y, int z);
-  Block* Touch(int x, int y, int z);
+  Block* Touch(Block* block);
   absl::Status MarkScan(std::span<const Ray> rays);
   bool CastFree(const Ray& ray);
   void CountMarks();

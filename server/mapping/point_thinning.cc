@@ -2,6 +2,7 @@
 
 #include <boost/unordered/unordered_flat_set.hpp>
 #include <cmath>
+#include <optional>
 
 #include "geometry/voxel_key.h"
 
@@ -21,9 +22,12 @@ std::vector<std::uint32_t> FirstPointPerCube(std::span<const Eigen::Vector3f> po
   boost::unordered_flat_set<geometry::VoxelKey, std::hash<geometry::VoxelKey>> taken;
   taken.reserve(points.size() / 4);
   std::vector<std::uint32_t> first;
+  std::optional<geometry::VoxelKey> last_key;  // points of a scan come side by side
   for (std::size_t i = 0; i < points.size(); ++i) {
     const auto key = geometry::KeyFromPoint(points[i].cast<double>(), cube_size_m);
-    if (key && taken.insert(*key).second) first.push_back(static_cast<std::uint32_t>(i));
+    if (!key || key == last_key) continue;
+    last_key = key;
+    if (taken.insert(*key).second) first.push_back(static_cast<std::uint32_t>(i));
   }
   return first;
 }

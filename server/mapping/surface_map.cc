@@ -33,24 +33,30 @@ std::optional<geometry::VoxelKey> Offset(const geometry::VoxelKey& key, int x, i
 }  // namespace
 
 void SurfaceMap::Insert(std::span<const Eigen::Vector3f> point_in_map) {
+  std::optional<geometry::VoxelKey> last_key;  // points of a scan come side by side
+  std::uint32_t i = 0;
   for (const Eigen::Vector3f& point : point_in_map) {
     const auto key = geometry::KeyFromPoint(point.cast<double>(), voxel_size_m_);
     if (!key) continue;
-    const auto [entry, is_new] =
-        index_.try_emplace(*key, static_cast<std::uint32_t>(surfels_.size()));
-    if (is_new) {
-      surfels_.emplace_back();
-      keys_.push_back(*key);
-      is_changed_.push_back(false);
+    if (key != last_key) {
+      const auto [entry, is_new] =
+          index_.try_emplace(*key, static_cast<std::uint32_t>(surfels_.size()));
+      if (is_new) {
+        surfels_.emplace_back();
+        keys_.push_back(*key);
+        is_changed_.push_back(false);
+      }
+      last_key = key;
+      i = entry->second;
     }
-    Surfel& surfel = surfels_[entry->second];
+    Surfel& surfel = surfels_[i];
     ++surfel.points;
     const Eigen::Vector3f from_old_mean = point - surfel.mean;
     surfel.mean += from_old_mean / static_cast<float>(surfel.points);
     surfel.scatter += from_old_mean * (point - surfel.mean).transpose();
-    if (!is_changed_[entry->second]) {
-      is_changed_[entry->second] = true;
-      changed_.push_back(entry->second);
+    if (!is_changed_[i]) {
+      is_changed_[i] = true;
+      changed_.push_back(i);
     }
   }
 }
