@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <limits>
+#include <map>
 
 #include "drive_along.h"
 #include "localization/localizer.h"
@@ -330,8 +331,59 @@ TEST(Recovery, BlindScansWhileLostChangeNothing) {
   EXPECT_EQ(localizer.lost_since_ns(), kStart_ns);
 }
 
-// Odometry that is wrong: it never says that the robot drives back, or it stands still.
-TEST(Recovery, OdometryThatLiesIsNoticed) {
+// Forward for 8 s, back for 3 s, and on: the odometry tells of way, but never that it is backwards.
+TEST(Recovery, OdometryThatKnowsNoReverseIsSurvived) {
+  const DriveAlong leg = FirstLeg();
+  const Drive drive = MakeDrive({leg});
+  const auto begin = [&drive](double time_s) {
+    return std::find_if(drive.frames.begin(), drive.frames.end(), [time_s](const auto& frame) {
+      return frames::SecondsFromNs(frames::StampOf(frame) - kStart_ns) >= time_s;
+    });
+  };
+  std::vector<std::pair<frames::Frame, TimeNs>> played;  // and when
+  for (auto frame = drive.frames.begin(); frame != begin(8.0); ++frame) {
+    played.emplace_back(*frame, frames::StampOf(*frame));
+  }
+  for (auto frame = begin(8.0); frame-- != begin(5.0);) {
+    played.emplace_back(*frame, 2 * kStart_ns + 16 * kSecond_ns - frames::StampOf(*frame));
+  }
+  for (auto frame = begin(5.0); frame != drive.frames.end(); ++frame) {
+    played.emplace_back(*frame, frames::StampOf(*frame) + 6 * kSecond_ns);
+  }
+  Localizer localizer = Start(Prepare(OfficeFloor()), InitialPose{leg.TruthAt(0.0)});
+  std::optional<Pose2> last;
+  Pose2 told;
+  std::map<TimeNs, Pose2> truth;
+  double wrong_m = 0.0, end_error_m = 1.0;
+  Pose2 before = leg.TruthAt(0.0);
+  State end_state = State::kLost;
+  for (auto& [frame, stamp_ns] : played) {
+    truth[stamp_ns] = drive.TruthAt(frames::StampOf(frame));
+    std::visit([stamp_ns](auto& f) { f.stamp_ns = stamp_ns; }, frame);
+    if (auto* odometry = std::get_if<frames::Odometry>(&frame)) {
+      Pose2 step = last.value_or(odometry->odom_from_base).Inverse() * odometry->odom_from_base;
+      step.x_m = std::abs(step.x_m);
+      last = odometry->odom_from_base;
+      odometry->odom_from_base = told = told * step;
+    }
+    for (const PoseEstimate& estimate : Feed(localizer, frame)) {
+      const Pose2 pose = truth.at(estimate.stamp_ns);
+      const Pose2 off = pose.Inverse() * estimate.map_from_base;
+      end_error_m = std::hypot(off.x_m, off.y_m);
+      end_state = estimate.state;
+      if (end_state == State::kTracking && end_error_m > 0.5) {
+        wrong_m += std::hypot(pose.x_m - before.x_m, pose.y_m - before.y_m);
+      }
+      before = pose;
+    }
+  }
+  EXPECT_LT(wrong_m, 2.0);
+  EXPECT_EQ(end_state, State::kTracking);
+  EXPECT_LT(end_error_m, 0.2);
+}
+
+// It stands still while the robot drives.
+TEST(Recovery, OdometryThatStopsIsNoticed) {
   const DriveAlong leg = FirstLeg();
   const Drive drive = MakeDrive({leg});
   Localizer localizer = Start(Prepare(OfficeFloor()), InitialPose{leg.TruthAt(0.0)});
