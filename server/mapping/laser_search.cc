@@ -116,25 +116,23 @@ bool LaserSearch::Descend(const std::vector<Rotation>& rotations, std::vector<Ca
   return found;
 }
 
-std::optional<LaserSearch::Candidate> LaserSearch::Best(const std::vector<Rotation>& rotations,
-                                                        int window_cells, double min_score,
-                                                        std::span<const Candidate> excluded) const {
-  int level = 0;
+// Of the whole window at the level at which a few cells cover it; what scores no more than that is
+// left out.
+std::vector<LaserSearch::Candidate> LaserSearch::Coarsest(const std::vector<Rotation>& rotations,
+                                                          int window_cells, double more_than,
+                                                          int& level) const {
+  level = 0;
   while (level + 1 < kLevels && (1 << level) < window_cells) ++level;
   std::vector<Candidate> candidates;
   for (int r = 0; r < static_cast<int>(rotations.size()); ++r) {
     for (int y = -window_cells; y <= window_cells; y += 1 << level) {
       for (int x = -window_cells; x <= window_cells; x += 1 << level) {
-        candidates.push_back({r, x, y, Score(rotations[r], x, y, level)});
+        const Candidate candidate{r, x, y, Score(rotations[r], x, y, level)};
+        if (candidate.score > more_than) candidates.push_back(candidate);
       }
     }
   }
-  Candidate best;
-  best.score = min_score;
-  if (!Descend(rotations, std::move(candidates), level, window_cells, excluded, best)) {
-    return std::nullopt;
-  }
-  return best;
+  return candidates;
 }
 
 std::vector<LaserSearch::Rotation> LaserSearch::Rotations(
@@ -176,16 +174,19 @@ std::vector<LaserSearchResult> LaserSearch::FindSeveral(
   if (levels_.empty()) return results;
   const std::vector<Rotation> rotations = Rotations(point_in_base, start_map_from_base, window);
   const int window_cells = std::max(1, static_cast<int>(std::ceil(window.distance_m / cell_m_)));
+  int level = 0;
+  const std::vector<Candidate> coarsest =
+      Coarsest(rotations, window_cells, min_share * min_score, level);
   std::vector<Candidate> found;
   while (static_cast<int>(found.size()) < max_places) {
-    const auto next = Best(rotations, window_cells,
-                           found.empty() ? min_score : min_share * found.front().score, found);
-    if (!next) break;
-    found.push_back(*next);
-    results.push_back({{start_map_from_base.x_m + static_cast<double>(next->x) * cell_m_,
-                        start_map_from_base.y_m + static_cast<double>(next->y) * cell_m_,
-                        geometry::NormalizeAngle(rotations[next->rotation].yaw_rad)},
-                       next->score,
+    Candidate next;
+    next.score = found.empty() ? min_score : min_share * found.front().score;
+    if (!Descend(rotations, coarsest, level, window_cells, found, next)) break;
+    found.push_back(next);
+    results.push_back({{start_map_from_base.x_m + static_cast<double>(next.x) * cell_m_,
+                        start_map_from_base.y_m + static_cast<double>(next.y) * cell_m_,
+                        geometry::NormalizeAngle(rotations[next.rotation].yaw_rad)},
+                       next.score,
                        false});
   }
   for (LaserSearchResult& result : results) result.unique = results.size() == 1;

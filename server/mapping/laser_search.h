@@ -52,9 +52,10 @@ class LaserSearch {
     double yaw_rad = 0.0;
     std::vector<Eigen::Vector2i> cells;  // of the points, at the start's place
   };
+
   double Score(const Rotation& rotation, int x, int y, int level) const;
-  std::optional<Candidate> Best(const std::vector<Rotation>& rotations, int window_cells,
-                                double min_score, std::span<const Candidate> excluded) const;
+  std::vector<Candidate> Coarsest(const std::vector<Rotation>& rotations, int window_cells,
+                                  double more_than, int& level) const;
   std::vector<Rotation> Rotations(std::span<const Eigen::Vector2f> point_in_base,
                                   const geometry::Pose2& start_map_from_base,
                                   const LaserWindow& window) const;
