@@ -4,11 +4,9 @@
 #include <filesystem>
 #include <sstream>
 
-#define TOML_EXCEPTIONS 0
-#include <toml++/toml.h>
-
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "pipeline/toml.h"
 
 namespace soundmap {
 namespace {

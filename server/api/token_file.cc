@@ -6,14 +6,12 @@
 #include <map>
 #include <sstream>
 
-#define TOML_EXCEPTIONS 0
-#include <toml++/toml.h>
-
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/civil_time.h"
 #include "absl/time/time.h"
+#include "pipeline/toml.h"
 #include "storage/names.h"
 
 namespace soundmap::api {

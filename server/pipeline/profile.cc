@@ -8,12 +8,10 @@
 #include <type_traits>
 #include <variant>
 
-#define TOML_EXCEPTIONS 0
-#include <toml++/toml.h>
-
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "geometry/angles.h"
+#include "pipeline/toml.h"
 
 namespace soundmap::pipeline {
 namespace {

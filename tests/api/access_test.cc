@@ -113,6 +113,7 @@ TEST(TokenFile, SaysWhatIsWrong) {
   };
   for (const auto& [text, says] : std::vector<std::pair<std::string, std::string>>{
            {"= 1", "line 1"},
+           {"[=]", "line 1"},
            {"x = 1", "'x'"},
            {"token = 1", "'token'"},
            {"refused_robots = 1", "refused_robots"},

@@ -68,7 +68,8 @@ TEST(Profile, WhatIsWrongIsNamed) {
       {"[sound_map]\nvoxel_size_m = 0.1", "voxel_size_m"},
       {"[acoustics]\nevidence = 'louder'", "acoustics.evidence"},
       {"[ray_casting]\nrange = 'far'", "ray_casting.range"},
-      {"[acoustics", "TOML"}};
+      {"[acoustics", "TOML"},
+      {"[=]", "TOML"}};
   for (const auto& [text, says] : cases) {
     const auto profile = ProfileFromToml(text);
     ASSERT_FALSE(profile.ok()) << text;
