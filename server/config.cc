@@ -36,12 +36,16 @@ absl::Status ServerConfig::ReadFile(const std::string& path) {
     what << parsed.error();
     return absl::InvalidArgumentError(absl::StrCat("the configuration file: ", what.str()));
   }
-  const std::map<std::string, std::string*> texts = {
-      {"data_dir", &data_dir},         {"grpc", &grpc_address},
-      {"http", &http_address},         {"tls_cert", &tls.certificate},
-      {"tls_key", &tls.key},           {"tls_client_ca", &tls.client_ca},
-      {"log_level", &log_level},       {"tokens", &access.token_file},
-      {"audit_log", &access.audit_log}};
+  const std::map<std::string, std::string*> texts = {{"data_dir", &data_dir},
+                                                     {"grpc", &grpc_address},
+                                                     {"http", &http_address},
+                                                     {"tls_cert", &tls.certificate},
+                                                     {"tls_key", &tls.key},
+                                                     {"tls_client_ca", &tls.client_ca},
+                                                     {"log_level", &log_level},
+                                                     {"tokens", &access.token_file},
+                                                     {"audit_log", &access.audit_log},
+                                                     {"backup_dir", &backup_dir}};
   for (auto&& [key, node] : parsed.table()) {
     const std::string name(key.str());
     bool taken = false;

@@ -17,8 +17,9 @@ struct ServerConfig {
   std::string http_address = "127.0.0.1:7480";
   api::TlsFiles tls;
   api::Access::Options access;
-  bool insecure = false;  // plain text beyond the loopback interface
-  int threads = 0;        // of the pipeline; 0: one a core
+  bool insecure = false;   // plain text beyond the loopback interface
+  std::string backup_dir;  // takes backups; empty: none are made
+  int threads = 0;         // of the pipeline; 0: one a core
   std::string log_level = "info";
   // By name; sites keep the parameters that they were created with.
   std::map<std::string, pipeline::Profile> profiles;

@@ -19,8 +19,11 @@
 #include "api/server.h"
 #include "config.h"
 #include "metrics.h"
+#include "pipeline/content_check.h"
 #include "pipeline/operations.h"
 #include "pipeline/sites.h"
+#include "storage/backup.h"
+#include "storage/check.h"
 #include "storage/store.h"
 #include "web_gateway/http_gateway.h"
 
@@ -76,6 +79,7 @@ absl::Status Serve(const ServerConfig& config) {
     parts.operations = &operations;
     parts.access = access->get();
     parts.store = store->get();
+    parts.backup_dir = config.backup_dir;
     parts.executor = pool.get_executor();
     parts.now_ns = NowNs;
     parts.server_id = absl::StrCat(absl::Hex(NowNs()));
@@ -110,6 +114,29 @@ absl::Status Serve(const ServerConfig& config) {
   store->reset();
   spdlog::info("stopped");
   return absl::OkStatus();
+// False: something is wrong, and said.
+absl::StatusOr<bool> Check(const std::string& data_dir) {
+  const auto check = storage::CheckData(data_dir, pipeline::MakeContentCheck());
+  if (!check.ok()) return check.status();
+  for (const std::string& remark : check->remarks) std::cout << "remark: " << remark << '\n';
+  for (const std::string& fault : check->faults) std::cerr << "soundmap-server: " << fault << '\n';
+  std::cout << absl::StrCat(data_dir, ": ", check->sites, " sites, ", check->sessions,
+                            " sessions with ", check->segments, " segments of ", check->frames,
+                            " frames, ", check->journal_entries, " journal entries, ", check->tiles,
+                            " tiles: ", check->faults.empty() ? "no fault" : "damaged")
+            << '\n';
+  return check->faults.empty();
+}
+
+absl::StatusOr<bool> RestoreAndCheck(const std::string& backup, const std::string& data_dir) {
+  const auto size = storage::Restore(backup, data_dir, [](double) { return true; });
+  if (!size.ok()) return size.status();
+  std::cout << absl::StrCat(size->files, " files with ", size->bytes, " bytes of ", backup,
+                            " are as they were backed up")
+            << '\n';
+  return Check(data_dir);
+}
+
 }
 
 int Main(int argc, char** argv) {
@@ -146,6 +173,14 @@ int Main(int argc, char** argv) {
   auto* threads =
       app.add_option("--threads", flags.threads, "threads of the pipeline; 0: one a core");
   auto* log_level =
+  auto* backup_dir = app.add_option("--backup-dir", flags.backup_dir,
+                                    "folder that takes the backups of `soundmap backup`");
+  bool check_data = false;
+  app.add_flag("--check", check_data,
+               "read all of --data-dir, say what is damaged, and end; no server may use it");
+  std::string restore_from;
+  app.add_option("--restore", restore_from,
+                 "make --data-dir, which must not exist, of this backup, check it, and end");
       app.add_option("--log-level", flags.log_level, "trace, debug, info, warning, error")
           ->capture_default_str();
   std::string print_profile;
@@ -171,6 +206,7 @@ int Main(int argc, char** argv) {
   if (*key) config.tls.key = flags.tls.key;
   if (*client_ca) config.tls.client_ca = flags.tls.client_ca;
   if (*tokens) config.access.token_file = flags.access.token_file;
+  if (*backup_dir) config.backup_dir = flags.backup_dir;
   if (*audit_log) config.access.audit_log = flags.access.audit_log;
   if (*calls) config.access.calls_per_s = flags.access.calls_per_s;
   if (*insecure) config.insecure = flags.insecure;
@@ -183,6 +219,12 @@ int Main(int argc, char** argv) {
     }
     std::cout << pipeline::ToToml(profile->second);
     return 0;
+  }
+  if (check_data || !restore_from.empty()) {
+    const auto whole = restore_from.empty() ? Check(config.data_dir)
+                                            : RestoreAndCheck(restore_from, config.data_dir);
+    if (!whole.ok()) return fail(whole.status());
+    return *whole ? 0 : 1;
   }
   const absl::Status valid = config.Validate();
   if (!valid.ok()) return fail(valid);

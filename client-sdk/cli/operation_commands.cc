@@ -4,6 +4,7 @@
 #include "absl/strings/str_cat.h"
 #include "cli/command_line.h"
 #include "cli/json_output.h"
+#include "cli/progress.h"
 #include "cli/table.h"
 #include "cli/time_text.h"
 
@@ -49,9 +50,34 @@ absl::Status Operations(Client& client, const OperationArguments& arguments) {
   return absl::OkStatus();
 }
 
+struct BackupArguments {
+  std::string name;
+  std::string format;
+};
+
+absl::Status CreateBackup(Client& client, const BackupArguments& arguments) {
+  Progress progress;
+  const auto operation = client.CreateBackup(arguments.name, progress.ForOperation());
+  if (!operation.ok()) return operation.status();
+  if (arguments.format == "json") {
+    std::cout << ToJson(*operation).dump() << '\n';
+  } else {
+    std::cout << "the backup " << arguments.name << " is made\n" << operation->report_json << '\n';
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 void AddOperationCommands(CLI::App& app, CommandLine& line) {
+  auto backup = std::make_shared<BackupArguments>();
+  CLI::App* backup_command =
+      AddCommand(app, "backup", "copy all that the server keeps into a folder of its --backup-dir");
+  backup_command->add_option("NAME", backup->name, "name of the folder")->required();
+  AddFormat(*backup_command, backup->format, {"table", "json"});
+  RunWithClient(*backup_command, line,
+                [backup](Client& client) { return CreateBackup(client, *backup); });
+
   auto arguments = std::make_shared<OperationArguments>();
   CLI::App* command = AddCommand(app, "operations", "long-running work of the server");
   command->add_option("SITE", arguments->site, "only of this site");

@@ -118,6 +118,18 @@ absl::StatusOr<Operation> Client::BuildMap(const BuildMapRequest& request,
   return WaitOperation(response->name(), progress);
 }
 
+absl::StatusOr<Operation> Client::CreateBackup(const std::string& backup,
+                                               const ProgressCallback& progress) {
+  v1::CreateBackupRequest request;
+  request.set_backup_id(backup);
+  request.set_request_id(RequestId());
+  const auto response =
+      connection_->Call<v1::Operation>(Connection::Repeat::kNever, *connection_->backups,
+                                       &v1::BackupService::Stub::CreateBackup, request);
+  if (!response.ok()) return response.status();
+  return WaitOperation(response->name(), progress);
+}
+
 absl::StatusOr<Operation> Client::TryParameters(const TryParametersRequest& request,
                                                 const ProgressCallback& progress) {
   v1::TryParametersRequest wire;

@@ -66,7 +66,8 @@ Client::Connection::Connection(const ClientOptions& options,
       sessions(v1::SessionService::NewStub(channel)),
       watches(v1::WatchService::NewStub(channel)),
       operations(v1::OperationService::NewStub(channel)),
-      tuning(v1::TuningService::NewStub(channel)) {}
+      tuning(v1::TuningService::NewStub(channel)),
+      backups(v1::BackupService::NewStub(channel)) {}
 
 void Client::Connection::Prepare(grpc::ClientContext& context,
                                  std::chrono::milliseconds timeout) const {

@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "retry.h"
 #include "soundmap/client.h"
+#include "soundmap/v1/backup_service.grpc.pb.h"
 #include "soundmap/v1/map_service.grpc.pb.h"
 #include "soundmap/v1/operation_service.grpc.pb.h"
 #include "soundmap/v1/robot_service.grpc.pb.h"
@@ -109,6 +110,7 @@ class Client::Connection {
   const std::unique_ptr<v1::WatchService::Stub> watches;
   const std::unique_ptr<v1::OperationService::Stub> operations;
   const std::unique_ptr<v1::TuningService::Stub> tuning;
+  const std::unique_ptr<v1::BackupService::Stub> backups;
 
  private:
   static void Sleep(std::chrono::milliseconds time);

@@ -252,7 +252,7 @@ v1::Operation ToProto(const pipeline::OperationInfo& operation) {
   v1::Operation proto;
   proto.set_name(OperationResource(operation.id));
   proto.set_kind(operation.kind);
-  proto.set_site(SiteResource(operation.site));
+  if (!operation.site.empty()) proto.set_site(SiteResource(operation.site));
   proto.set_done(operation.done);
   proto.set_progress(operation.progress);
   proto.set_progress_text(operation.progress_text);

@@ -7,6 +7,7 @@
 #include <chrono>
 
 #include "absl/strings/str_cat.h"
+#include "api/backup_service.h"
 #include "api/ingest_service.h"
 #include "api/map_service.h"
 #include "api/operation_service.h"
@@ -36,6 +37,7 @@ class GrpcServer : public Server {
         maps_(parts.sites, parts.access, parts.operations),
         operations_(parts.operations, parts.access),
         tuning_(parts.sites, parts.access, parts.operations),
+        backups_(parts.store, parts.operations, parts.access, parts.backup_dir),
         watches_(parts.sites, parts.access, parts.executor, parts.server_id) {}
 
   absl::Status Listen(const std::string& address, const TlsFiles& tls) {
@@ -58,9 +60,9 @@ class GrpcServer : public Server {
     // The limit above is of what arrives; a compressed message may become a thousand times larger.
     builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_GZIP, false);
     builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_DEFLATE, false);
-    for (grpc::Service* service :
-         std::initializer_list<grpc::Service*>{&sites_, &sessions_, &ingest_, &robots_, &sound_map_,
-                                               &maps_, &operations_, &tuning_, &watches_}) {
+    for (grpc::Service* service : std::initializer_list<grpc::Service*>{
+             &sites_, &sessions_, &ingest_, &robots_, &sound_map_, &maps_, &operations_, &backups_,
+             &tuning_, &watches_}) {
       builder.RegisterService(service);
     }
     server_ = builder.BuildAndStart();
@@ -91,6 +93,7 @@ class GrpcServer : public Server {
   MapService maps_;
   OperationService operations_;
   TuningService tuning_;
+  BackupService backups_;
   WatchService watches_;
   std::unique_ptr<grpc::Server> server_;
   std::string address_;

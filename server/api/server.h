@@ -24,7 +24,8 @@ class Server {
     const storage::Store* store = nullptr;
     boost::asio::any_io_executor executor;
     std::function<std::int64_t()> now_ns;
-    std::string server_id;  // of this run of the server
+    std::string backup_dir;  // takes backups; empty: none are made
+    std::string server_id;   // of this run of the server
   };
 
   // Serves at once. Unavailable: the address cannot be bound. InvalidArgument: the TLS files.

@@ -18,8 +18,8 @@ namespace soundmap::pipeline {
 
 struct OperationInfo {
   std::string id;
-  std::string kind;  // "build_map", "import_map"
-  std::string site;
+  std::string kind;  // "build_map", "import_map", "backup"
+  std::string site;  // empty: it concerns all
   bool done = false;
   double progress = 0.0;  // 0 .. 1
   std::string progress_text;

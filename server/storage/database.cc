@@ -5,6 +5,7 @@
 #include <rocksdb/env.h>
 #include <rocksdb/listener.h>
 #include <rocksdb/table.h>
+#include <rocksdb/utilities/checkpoint.h>
 #include <rocksdb/write_batch.h>
 
 #include <atomic>
@@ -126,11 +127,15 @@ struct DatabaseInstance {
   }
 
   static absl::StatusOr<std::shared_ptr<DatabaseInstance>> Open(const std::string& folder,
-                                                                const DatabaseOptions& options) {
+                                                                const DatabaseOptions& options,
+                                                                bool only_to_read = false) {
     std::vector<rocksdb::ColumnFamilyHandle*> handles;
     rocksdb::DB* opened = nullptr;
     const rocksdb::Status status =
-        rocksdb::DB::Open(DbOptions(options), folder, Descriptors(options), &handles, &opened);
+        only_to_read ? rocksdb::DB::OpenForReadOnly(DbOptions(options), folder,
+                                                    Descriptors(options), &handles, &opened)
+                     : rocksdb::DB::Open(DbOptions(options), folder, Descriptors(options), &handles,
+                                         &opened);
     if (!status.ok()) return FromRocks(status, "open", folder);
     auto instance = std::make_shared<DatabaseInstance>();
     instance->folder = folder;
@@ -209,7 +214,32 @@ absl::StatusOr<std::unique_ptr<Database>> Database::Open(const std::string& fold
   return database;
 }
 
+absl::StatusOr<std::unique_ptr<Database>> Database::OpenForReading(const std::string& folder,
+                                                                   const DatabaseOptions& options) {
+  auto instance = DatabaseInstance::Open(folder, options, /*only_to_read=*/true);
+  if (!instance.ok()) return instance.status();
+  std::unique_ptr<Database> database(new Database(folder, options));
+  database->instance_ = *std::move(instance);
+  return database;
+}
+
 Database::~Database() = default;
+
+absl::Status Database::VerifyChecksums() const {
+  const auto view = View();
+  if (!view.ok()) return view.status();
+  return FromRocks(view->state_->instance->db->VerifyChecksum(), "verify", folder_);
+}
+
+absl::Status Database::Checkpoint(const std::string& folder) {
+  const auto instance = ForWriting(options_.min_free_bytes);
+  if (!instance.ok()) return instance.status();
+  rocksdb::Checkpoint* made = nullptr;
+  rocksdb::Status status = rocksdb::Checkpoint::Create((*instance)->db.get(), &made);
+  const std::unique_ptr<rocksdb::Checkpoint> checkpoint(made);
+  if (status.ok()) status = checkpoint->CreateCheckpoint(folder);
+  return FromRocks(status, "copy to", folder);
+}
 
 absl::StatusOr<DatabaseView> Database::View() const {
   DatabaseView view;

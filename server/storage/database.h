@@ -73,7 +73,16 @@ class Database {
 
   static absl::StatusOr<std::unique_ptr<Database>> Open(const std::string& folder,
                                                         const DatabaseOptions& options);
+  // For those who only look: nothing is changed, not even to recover from a crash.
+  static absl::StatusOr<std::unique_ptr<Database>> OpenForReading(const std::string& folder,
+                                                                  const DatabaseOptions& options);
   ~Database();
+
+  // Reads every byte. DataLoss names the file whose checksum does not match.
+  absl::Status VerifyChecksums() const;
+  // Makes a database of what is held now in the folder, which must not exist. What can be shared
+  // with this one is linked, not copied.
+  absl::Status Checkpoint(const std::string& folder);
 
   // With `sync` it and all that was written before are on the disk when it returns.
   absl::Status Write(const Batch& batch, bool sync, Purpose purpose = Purpose::kAdd);

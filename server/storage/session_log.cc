@@ -500,4 +500,42 @@ void SessionLog::Abandon() {
   state_->payload_crcs.clear();
 }
 
+absl::StatusOr<SessionLogCheck> CheckSessionLog(const std::string& folder,
+                                                std::int64_t known_durable) {
+  SessionLogCheck check;
+  std::error_code error;
+  if (std::filesystem::exists(folder, error)) {
+    const auto segments = ListSegments(folder);
+    if (!segments.ok()) return segments.status();
+    for (std::size_t i = 0; i < segments->size(); ++i) {
+      const Segment& segment = (*segments)[i];
+      const auto tail = ReadTail(segment, /*crc_window=*/0);
+      if (!tail.ok()) return tail.status();
+      ++check.segments;
+      if (segment.first_offset > check.frames) {
+        check.faults.push_back(absl::StrCat(folder, ": frames ", check.frames, " to ",
+                                            segment.first_offset - 1, " are missing"));
+      }
+      const std::int64_t end = segment.first_offset + tail->frames;
+      const bool is_last = i + 1 == segments->size();
+      // A segment ends where the next one begins, whatever stands behind.
+      const std::int64_t needed = is_last ? known_durable : (*segments)[i + 1].first_offset;
+      if (end < needed) {
+        check.faults.push_back(absl::StrCat(segment.path, " holds frames up to ", end,
+                                            " only, where ", needed, " were durable",
+                                            tail->damage.ok() ? "" : ": ", tail->damage.message()));
+      } else if (!tail->damage.ok()) {
+        absl::StrAppend(&check.cut_tail, check.cut_tail.empty() ? "" : "; ",
+                        tail->damage.message());
+      }
+      check.frames = is_last ? end : needed;
+    }
+  }
+  if (check.segments == 0 && known_durable > 0) {
+    check.faults.push_back(
+        absl::StrCat(folder, " holds no segment, where ", known_durable, " frames were durable"));
+  }
+  return check;
+}
+
 }  // namespace soundmap::storage

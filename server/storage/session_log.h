@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -84,5 +85,19 @@ class SessionLog {
   explicit SessionLog(std::unique_ptr<State> state);
   std::unique_ptr<State> state_;
 };
+
+// What reading a whole log without changing it finds.
+struct SessionLogCheck {
+  std::int64_t segments = 0;
+  std::int64_t frames = 0;
+  std::vector<std::string> faults;  // one sentence each, naming the file
+  // How segments end that have all their frames and no regular end: a crash may have cut them
+  // there.
+  std::string cut_tail;
+};
+
+// A folder that is not there is a log without frames. An error only where something cannot be read.
+absl::StatusOr<SessionLogCheck> CheckSessionLog(const std::string& folder,
+                                                std::int64_t known_durable);
 
 }  // namespace soundmap::storage

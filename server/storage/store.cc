@@ -7,81 +7,18 @@
 #include <system_error>
 #include <utility>
 
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/strip.h"
-#include "storage/bytes.h"
 #include "storage/database.h"
 #include "storage/files.h"
+#include "storage/format.h"
 #include "storage/journal_codec.h"
+#include "storage/keys.h"
 #include "storage/names.h"
 
 namespace soundmap::storage {
 namespace {
 
-constexpr int kFormatVersion = 1;
-constexpr char kFormatPrefix[] = "soundmap data ";
 constexpr std::size_t kMaxPoseBytes = 64 << 10;
-
-// Keys begin with the site and a byte 0, which no name contains: no site's keys begin with another
-// site's. FORMAT.md lists them.
-constexpr char kEnd = '\0';
-constexpr char kAfterEnd = '\1';
-
-std::string SiteKey(const std::string& site) { return site + kEnd; }
-std::string LastSequenceKey(const std::string& site) { return SiteKey(site) + 'j'; }
-std::string CheckpointKey(const std::string& site) { return SiteKey(site) + 'c'; }
-std::string SourceRegisterKey(const std::string& site) { return SiteKey(site) + 'r'; }
-std::string DeletedSiteKey(const std::string& site) { return kEnd + site; }
-
-std::string SessionKey(const SessionId& id) { return SiteKey(id.site) + 's' + id.session + kEnd; }
-std::string DurableKey(const SessionId& id) { return SessionKey(id) + 'd'; }
-std::string ProcessedKey(const SessionId& id) { return SessionKey(id) + 'p'; }
-std::string HeardKey(const SessionId& id) { return SessionKey(id) + 'h'; }
-std::string StateKey(const SessionId& id) { return SessionKey(id) + 't'; }
-
-std::string EntryPrefix(const std::string& site) { return SiteKey(site) + 'e'; }
-std::string EntryKey(const std::string& site, std::uint64_t sequence) {
-  std::string key = EntryPrefix(site);
-  AppendBigEndian(sequence, 8, &key);
-  return key;
-}
-
-std::string TimePrefix(const std::string& site) { return SiteKey(site) + 't'; }
-std::string TimeKey(const std::string& site, frames::TimeNs stamp_ns) {
-  std::string key = TimePrefix(site);
-  AppendBigEndian(SortableFromSigned(stamp_ns), 8, &key);
-  return key;
-}
-
-std::string TrajectoryPrefix(const SessionId& id) { return SiteKey(id.site) + id.session + kEnd; }
-std::string TrajectoryKey(const SessionId& id, frames::TimeNs time_ns) {
-  std::string key = TrajectoryPrefix(id);
-  AppendBigEndian(SortableFromSigned(time_ns), 8, &key);
-  return key;
-}
-
-std::string TileKeyBytes(const std::string& site, const TileKey& tile) {
-  std::string key = SiteKey(site);
-  for (const std::uint16_t axis : {tile.x, tile.y, tile.z}) AppendBigEndian(axis, 2, &key);
-  return key;
-}
-
-std::string RecordKey(Table table, const std::string& key) {
-  return std::string(1, static_cast<char>(table)) + key;
-}
-
-std::string Number(std::uint64_t value) {
-  std::string bytes;
-  AppendBigEndian(value, 8, &bytes);
-  return bytes;
-}
-
-// The first key behind all that begin with `prefix`; the last byte of a prefix is never 255 here.
-std::string EndOfPrefix(std::string prefix) {
-  ++prefix.back();
-  return prefix;
-}
 
 absl::Status ValidateId(const SessionId& id) {
   if (absl::Status site = ValidateName("site", id.site); !site.ok()) return site;
@@ -89,10 +26,10 @@ absl::Status ValidateId(const SessionId& id) {
 }
 
 // The folder of a new server, or one that a server of this or an earlier version has written.
-absl::Status CheckFormat(const std::string& data_dir) {
+absl::Status FindOrCreateFormat(const std::string& data_dir) {
   const std::string path = data_dir + "/FORMAT";
-  const auto text = ReadSmallFile(path);
-  if (absl::IsNotFound(text.status())) {
+  const absl::Status found = CheckFormat(data_dir);
+  if (absl::IsNotFound(found)) {
     std::error_code error;
     for (std::filesystem::directory_iterator it(data_dir, error), end; !error && it != end;
          it.increment(error)) {
@@ -103,21 +40,9 @@ absl::Status CheckFormat(const std::string& data_dir) {
           " is not empty and has no file FORMAT: it is not a data folder of this server"));
     }
     if (error) return absl::ErrnoToStatus(error.value(), absl::StrCat("cannot list ", data_dir));
-    return WriteSmallFile(path, absl::StrCat(kFormatPrefix, kFormatVersion, "\n"));
+    return WriteSmallFile(path, FormatText());
   }
-  if (!text.ok()) return text.status();
-  absl::string_view rest = *text;
-  int version = 0;
-  if (!absl::ConsumePrefix(&rest, kFormatPrefix) || !absl::ConsumeSuffix(&rest, "\n") ||
-      !absl::SimpleAtoi(rest, &version) || version < 1) {
-    return absl::DataLossError(absl::StrCat(path, " does not say \"", kFormatPrefix, "VERSION\""));
-  }
-  if (version > kFormatVersion) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        data_dir, " was written by a newer version of this server: its data format is ", version,
-        ", this server knows formats up to ", kFormatVersion));
-  }
-  return absl::OkStatus();
+  return found;
 }
 
 }  // namespace
@@ -224,7 +149,7 @@ absl::StatusOr<std::unique_ptr<Store>> Store::Open(const std::string& data_dir,
         absl::StrCat("the data folder ", data_dir, " is in use by another process"));
   }
   if (!lock.ok()) return lock.status();
-  if (absl::Status checked = CheckFormat(data_dir); !checked.ok()) return checked;
+  if (absl::Status checked = FindOrCreateFormat(data_dir); !checked.ok()) return checked;
 
   auto state = std::make_unique<State>();
   state->data_dir = data_dir;
@@ -640,6 +565,12 @@ absl::Status Store::DeleteSite(const std::string& site) {
       !written.ok())
     return written;
   return state_->RemoveSiteFolder(site);
+}
+
+const std::string& Store::data_dir() const { return state_->data_dir; }
+
+absl::Status Store::CheckpointDatabase(const std::string& folder) const {
+  return state_->database->Checkpoint(folder);
 }
 
 }  // namespace soundmap::storage

@@ -119,6 +119,10 @@ class Store {
   // finishes the work.
   absl::Status DeleteSite(const std::string& site);
 
+  const std::string& data_dir() const;
+  // Makes a folder with a copy of the database as it is now; the session logs are at least as new.
+  absl::Status CheckpointDatabase(const std::string& folder) const;
+
  private:
   struct State;
   explicit Store(std::unique_ptr<State> state);

@@ -88,6 +88,10 @@ class Client {
                                           const ProgressCallback& progress = {});
   absl::StatusOr<Operation> CancelOperation(const std::string& operation);
 
+  // Copies all that the server keeps into a folder of this name on the server, and waits for it.
+  absl::StatusOr<Operation> CreateBackup(const std::string& backup,
+                                         const ProgressCallback& progress = {});
+
  private:
   class Connection;
   explicit Client(std::shared_ptr<Connection> connection);

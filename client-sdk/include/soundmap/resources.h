@@ -58,7 +58,7 @@ struct Robot {
 // Long-running work on the server.
 struct Operation {
   std::string id;
-  std::string kind;  // "build_map", "import_map", "export_map"
+  std::string kind;  // "build_map", "import_map", "backup"
   std::string site;
   bool done = false;
   double progress = 0.0;  // 0 .. 1
