@@ -14,6 +14,7 @@ namespace {
 
 constexpr std::size_t kExportChunkBytes = 256 << 10;
 constexpr std::size_t kMaxImportBytes = std::size_t{1} << 30;
+constexpr long kMaxImports = 2;  // at a time, with those that wait to be read
 
 }  // namespace
 
@@ -56,6 +57,11 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
       return;
     }
     caller_ = *std::move(caller);
+    if (service_->imports_.use_count() > 1 + kMaxImports) {
+      End(absl::ResourceExhaustedError(
+          absl::StrCat(kMaxImports, " maps are being imported already")));
+      return;
+    }
     StartRead(&request_);
   }
 
@@ -114,7 +120,7 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
     }
     const auto operation = service_->operations_->Start(
         "import_map", site_->record().site, header_.request_id(),
-        [site = site_, format = *format, data = std::move(data_),
+        [slot = slot_, site = site_, format = *format, data = std::move(data_),
          picture = std::move(picture)](pipeline::OperationContext&) -> absl::StatusOr<std::string> {
           auto building = building::ImportBuilding(format, data, picture, site->profile().import);
           if (!building.ok()) return building.status();
@@ -128,6 +134,7 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
   }
 
   MapService* const service_;
+  const std::shared_ptr<const int> slot_ = service_->imports_;
   grpc::CallbackServerContext* const context_;
   v1::Operation* const response_;
   Caller caller_;

@@ -26,6 +26,8 @@ class MapService : public v1::MapService::CallbackService {
   pipeline::Sites* const sites_;
   Access* const access_;
   pipeline::Operations* const operations_;
+  // Shared by the imports that hold a file in memory, and so their count.
+  const std::shared_ptr<const int> imports_ = std::make_shared<const int>(0);
 };
 
 }  // namespace soundmap::api

@@ -12,6 +12,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <sstream>
+#include <thread>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
@@ -24,6 +25,7 @@
 #include "pipeline/profile.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/ingest_service.grpc.pb.h"
+#include "soundmap/v1/map_service.grpc.pb.h"
 #include "soundmap/v1/session_service.grpc.pb.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
 #include "storage/store.h"
@@ -147,7 +149,7 @@ class SecurityTest : public testing::Test {
   }
 
   void TearDown() override {
-    server_->Shutdown();
+    if (server_) server_->Shutdown();
     server_.reset();
     operations_.reset();
     sites_->Stop();
@@ -412,6 +414,74 @@ TEST_F(SecurityTest, NamesDoNotLeaveTheDataFolder) {
         grpc::StatusCode::INVALID_ARGUMENT)
         << name;
   }
+}
+
+TEST_F(SecurityTest, AThirdImportAtATimeIsRefused) {
+  const auto channel = Channel();
+  v1::ImportMapRequest header;
+  header.mutable_header()->set_site("sites/a");
+  header.mutable_header()->set_format("none");
+  const auto third = [&] {
+    return Call(channel, "/soundmap.v1.MapService/ImportMap", header.SerializeAsString(), "write")
+        .error_code();
+  };
+  EXPECT_TRUE(ListSites(channel, "write").ok());
+  const auto stub = v1::MapService::NewStub(channel);
+  grpc::ClientContext contexts[2];
+  v1::Operation operations[2];
+  std::unique_ptr<grpc::ClientWriter<v1::ImportMapRequest>> writers[2];
+  for (int i = 0; i < 2; ++i) {
+    Prepare(contexts[i], "write");
+    writers[i] = stub->ImportMap(&contexts[i], &operations[i]);
+    ASSERT_TRUE(writers[i]->Write(header));
+  }
+  // Until the server has seen both.
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+  while (third() != grpc::StatusCode::RESOURCE_EXHAUSTED) {
+    ASSERT_LT(std::chrono::steady_clock::now(), deadline);
+  }
+  for (auto& context : contexts) context.TryCancel();
+  for (auto& writer : writers) EXPECT_FALSE(writer->Finish().ok());
+  while (third() == grpc::StatusCode::RESOURCE_EXHAUSTED) {
+    ASSERT_LT(std::chrono::steady_clock::now(), deadline);
+  }
+}
+
+TEST_F(SecurityTest, AServerThatStopsSaysSoFirst) {
+  const auto channel = Channel();
+  grpc::GenericStub stub(channel);
+  grpc::ClientContext context;
+  Prepare(context, "");
+  grpc::CompletionQueue queue;
+  const auto wait = [&queue] {
+    void* tag = nullptr;
+    bool ok = false;
+    return queue.Next(&tag, &ok) && ok;
+  };
+  const auto call = stub.PrepareCall(&context, "/grpc.health.v1.Health/Watch", &queue);
+  call->StartCall(nullptr);
+  ASSERT_TRUE(wait());
+  const grpc::Slice empty;
+  call->WriteLast(grpc::ByteBuffer(&empty, 1), {}, nullptr);
+  ASSERT_TRUE(wait());
+  const auto next = [&]() -> std::string {
+    grpc::ByteBuffer answer;
+    call->Read(&answer, nullptr);
+    grpc::Slice slice;
+    if (!wait() || !answer.DumpToSingleSlice(&slice).ok()) return "end";
+    return std::string(reinterpret_cast<const char*>(slice.begin()), slice.size());
+  };
+  EXPECT_EQ(next(), "\x08\x01");  // SERVING
+  std::thread stop([this] { server_->Shutdown(); });
+  EXPECT_EQ(next(), "\x08\x02");  // NOT_SERVING, while the connection still lives
+  stop.join();
+  context.TryCancel();
+  grpc::Status status;
+  call->Finish(&status, nullptr);
+  wait();
+  queue.Shutdown();
+  wait();
+  server_.reset();
 }
 
 TEST_F(SecurityTest, MutationsAreOnTheAuditLog) {
