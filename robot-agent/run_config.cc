@@ -131,8 +131,9 @@ absl::StatusOr<RunConfig> RunConfig::Read(const std::string& path) {
   config.spool.segment_bytes =
       std::clamp<std::int64_t>(config.spool.max_bytes / 16, 1, config.spool.segment_bytes);
   std::string when_full = "pause";
-  keys.OneOf("spool", "when_full", {"pause"}, when_full);
-  config.spool.pause_when_full = true;
+  keys.OneOf("spool", "when_full", {"pause", "drop_oldest"}, when_full);
+  config.spool.pause_when_full = when_full == "pause";
+  keys.Number("spool", "max_hours", 0.01, 1e5, config.spool.max_hours);
   keys.Flag("uplink", "coded", config.coded);
   if (absl::Status finished = keys.Finish(); !finished.ok()) return finished;
   if (absl::Status valid = config.spool.Validate(); !valid.ok()) {

@@ -15,7 +15,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "api/access.h"
-#include "api/decode_frame.h"
+#include "api/decode_message.h"
 #include "api/server.h"
 #include "config.h"
 #include "metrics.h"
@@ -57,9 +57,7 @@ absl::Status Serve(const ServerConfig& config) {
 
   pipeline::Sites::Options options;
   options.executor = pool.get_executor();
-  options.decode = [](const recording::Message& message, const frames::Calibration& calibration) {
-    return api::DecodeFrame(message.schema, message.data, calibration);
-  };
+  options.decode = api::DecodeMessage;
   options.profile = [&config](const std::string& name) -> absl::StatusOr<pipeline::Profile> {
     const auto found = config.profiles.find(name);
     if (found == config.profiles.end()) return pipeline::ProfileByName(name);
@@ -79,9 +77,9 @@ absl::Status Serve(const ServerConfig& config) {
     parts.operations = &operations;
     parts.access = access->get();
     parts.store = store->get();
-    parts.backup_dir = config.backup_dir;
     parts.executor = pool.get_executor();
     parts.now_ns = NowNs;
+    parts.backup_dir = config.backup_dir;
     parts.server_id = absl::StrCat(absl::Hex(NowNs()));
     auto server = api::Server::Start(config.grpc_address, config.tls, parts);
     if (!server.ok()) return server.status();
@@ -114,6 +112,8 @@ absl::Status Serve(const ServerConfig& config) {
   store->reset();
   spdlog::info("stopped");
   return absl::OkStatus();
+}
+
 // False: something is wrong, and said.
 absl::StatusOr<bool> Check(const std::string& data_dir) {
   const auto check = storage::CheckData(data_dir, pipeline::MakeContentCheck());
@@ -135,8 +135,6 @@ absl::StatusOr<bool> RestoreAndCheck(const std::string& backup, const std::strin
                             " are as they were backed up")
             << '\n';
   return Check(data_dir);
-}
-
 }
 
 int Main(int argc, char** argv) {
@@ -173,6 +171,8 @@ int Main(int argc, char** argv) {
   auto* threads =
       app.add_option("--threads", flags.threads, "threads of the pipeline; 0: one a core");
   auto* log_level =
+      app.add_option("--log-level", flags.log_level, "trace, debug, info, warning, error")
+          ->capture_default_str();
   auto* backup_dir = app.add_option("--backup-dir", flags.backup_dir,
                                     "folder that takes the backups of `soundmap backup`");
   bool check_data = false;
@@ -181,8 +181,6 @@ int Main(int argc, char** argv) {
   std::string restore_from;
   app.add_option("--restore", restore_from,
                  "make --data-dir, which must not exist, of this backup, check it, and end");
-      app.add_option("--log-level", flags.log_level, "trace, debug, info, warning, error")
-          ->capture_default_str();
   std::string print_profile;
   app.add_option("--print-profile", print_profile,
                  "print the parameters of a profile as TOML, and end");
@@ -206,9 +204,9 @@ int Main(int argc, char** argv) {
   if (*key) config.tls.key = flags.tls.key;
   if (*client_ca) config.tls.client_ca = flags.tls.client_ca;
   if (*tokens) config.access.token_file = flags.access.token_file;
-  if (*backup_dir) config.backup_dir = flags.backup_dir;
   if (*audit_log) config.access.audit_log = flags.access.audit_log;
   if (*calls) config.access.calls_per_s = flags.access.calls_per_s;
+  if (*backup_dir) config.backup_dir = flags.backup_dir;
   if (*insecure) config.insecure = flags.insecure;
   if (*threads) config.threads = flags.threads;
   if (*log_level) config.log_level = flags.log_level;
@@ -220,14 +218,14 @@ int Main(int argc, char** argv) {
     std::cout << pipeline::ToToml(profile->second);
     return 0;
   }
+  const absl::Status valid = config.Validate();
+  if (!valid.ok()) return fail(valid);
   if (check_data || !restore_from.empty()) {
     const auto whole = restore_from.empty() ? Check(config.data_dir)
                                             : RestoreAndCheck(restore_from, config.data_dir);
     if (!whole.ok()) return fail(whole.status());
     return *whole ? 0 : 1;
   }
-  const absl::Status valid = config.Validate();
-  if (!valid.ok()) return fail(valid);
   // gRPC has a line for every handshake that fails: a log that strangers could fill.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
   spdlog::set_default_logger(spdlog::stderr_color_mt("soundmap"));

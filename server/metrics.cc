@@ -8,6 +8,7 @@
 #include <array>
 #include <chrono>
 #include <fstream>
+#include <limits>
 #include <vector>
 
 namespace soundmap {
@@ -60,12 +61,35 @@ std::string MetricsText(const pipeline::Meters& meters, const api::Access& acces
     metric.counter.value =
         static_cast<double>(access.refusals(static_cast<api::Access::Refusal>(i)));
   }
+  MetricFamily lag{"soundmap_durable_lag_seconds",
+                   "Time from the arrival of a frame until it is on the disk.",
+                   MetricType::Histogram,
+                   {}};
+  ClientMetric::Histogram& histogram = lag.metric.emplace_back().histogram;
+  for (std::size_t i = 0; i <= pipeline::LagHistogram::kBounds.size(); ++i) {
+    histogram.sample_count += static_cast<std::uint64_t>(meters.durable_lag.count(i));
+    const double bound_s =
+        i < pipeline::LagHistogram::kBounds.size()
+            ? std::chrono::duration<double>(pipeline::LagHistogram::kBounds[i]).count()
+            : std::numeric_limits<double>::infinity();
+    histogram.bucket.push_back({histogram.sample_count, bound_s});
+  }
+  histogram.sample_sum = std::chrono::duration<double>(meters.durable_lag.sum()).count();
   rusage usage = {};
   ::getrusage(RUSAGE_SELF, &usage);
   return prometheus::TextSerializer().Serialize(
       {stages, refusals,
        One("soundmap_received_bytes_total", "Bytes of the messages that robots have sent.",
            MetricType::Counter, static_cast<double>(meters.received_bytes)),
+       One("soundmap_lost_frames_total", "Frames that robots lost before they could send them.",
+           MetricType::Counter, static_cast<double>(meters.lost_frames)),
+       lag,
+       One("soundmap_in_flight_bytes", "Bytes of robots' frames that wait for the disk or the map.",
+           MetricType::Gauge, static_cast<double>(meters.bytes_in_flight)),
+       One("soundmap_streams", "Robots' streams that are open.", MetricType::Gauge,
+           static_cast<double>(meters.streams)),
+       One("soundmap_watches", "Watches that are open.", MetricType::Gauge,
+           static_cast<double>(meters.watches)),
        One("process_cpu_seconds_total", "Processor time of the process.", MetricType::Counter,
            Seconds(usage.ru_utime) + Seconds(usage.ru_stime)),
        One("process_resident_memory_bytes", "Memory of the process.", MetricType::Gauge,

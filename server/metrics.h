@@ -3,7 +3,7 @@
 #include <string>
 
 #include "api/access.h"
-#include "pipeline/stage_times.h"
+#include "pipeline/meters.h"
 
 namespace soundmap {
 

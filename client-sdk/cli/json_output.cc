@@ -108,6 +108,14 @@ Json ToJson(const Site& site) {
 }
 
 Json ToJson(const Session& session) {
+  Json gaps = Json::array();
+  for (const FrameGap& gap : session.gaps) {
+    gaps.push_back({{"offset", gap.offset},
+                    {"frames", gap.frames},
+                    {"from_ns", gap.from_ns},
+                    {"to_ns", gap.to_ns},
+                    {"reason", gap.reason}});
+  }
   return {{"id", session.id},
           {"site", session.site},
           {"robot", session.robot},
@@ -122,7 +130,8 @@ Json ToJson(const Session& session) {
           {"first_frame_time_ns", session.first_frame_time_ns},
           {"last_frame_time_ns", session.last_frame_time_ns},
           {"building_version", session.building_version},
-          {"audio_scans", session.audio_scans}};
+          {"audio_scans", session.audio_scans},
+          {"gaps", std::move(gaps)}};
 }
 
 Json ToJson(const PoseEstimate& pose) {
@@ -144,6 +153,7 @@ Json ToJson(const Robot& robot) {
           {"session", robot.session},
           {"streaming", robot.streaming},
           {"last_seen_ns", robot.last_seen_ns},
+          {"lost_frames", robot.lost_frames},
           {"pose", robot.pose ? ToJson(*robot.pose) : Json(nullptr)}};
 }
 

@@ -46,6 +46,7 @@ absl::Status ListRobots(Client& client, const RobotArguments& arguments) {
                {"X [m]", kRight},
                {"Y [m]", kRight},
                {"YAW [deg]", kRight},
+               {"LOST FRAMES", kRight},
                {"LAST SEEN"}});
   for (const Robot& robot : *robots) {
     std::vector<std::string> pose = {"-", "-", "-", "-"};
@@ -55,7 +56,7 @@ absl::Status ListRobots(Client& client, const RobotArguments& arguments) {
               Fixed(p.yaw_rad * kDegPerRad, 1)};
     }
     table.Add({robot.id, robot.session, robot.streaming ? "yes" : "no", pose[0], pose[1], pose[2],
-               pose[3], FormatTime(robot.last_seen_ns)});
+               pose[3], absl::StrCat(robot.lost_frames), FormatTime(robot.last_seen_ns)});
   }
   table.Print(std::cout);
   return absl::OkStatus();
@@ -125,6 +126,10 @@ absl::Status ListSessions(Client& client, const RobotArguments& arguments) {
     std::string remarks = session.error_message;
     for (const std::string& warning : session.warnings) {
       absl::StrAppend(&remarks, remarks.empty() ? "" : "; ", warning);
+    }
+    for (const FrameGap& gap : session.gaps) {
+      absl::StrAppend(&remarks, remarks.empty() ? "" : "; ", "lost ", gap.frames,
+                      " frames before frame ", gap.offset, ": ", gap.reason);
     }
     table.Add({session.id, session.robot, NameOf(session.purpose), NameOf(session.state),
                absl::StrCat(session.received), absl::StrCat(session.durable),

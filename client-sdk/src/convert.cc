@@ -125,6 +125,10 @@ Site FromProto(const v1::Site& wire) {
 }
 
 Session FromProto(const v1::Session& wire) {
+  std::vector<FrameGap> gaps;
+  for (const v1::FrameGap& gap : wire.gaps()) {
+    gaps.push_back({gap.offset(), gap.frames(), gap.from_ns(), gap.to_ns(), gap.reason()});
+  }
   return {.id = IdIn(wire.name(), "sessions"),
           .site = IdIn(wire.name(), "sites"),
           .robot = IdIn(wire.robot(), "robots"),
@@ -139,7 +143,8 @@ Session FromProto(const v1::Session& wire) {
           .first_frame_time_ns = wire.first_frame_time_ns(),
           .last_frame_time_ns = wire.last_frame_time_ns(),
           .building_version = wire.building_version(),
-          .audio_scans = wire.audio_scans()};
+          .audio_scans = wire.audio_scans(),
+          .gaps = std::move(gaps)};
 }
 
 Robot FromProto(const v1::Robot& wire) {
@@ -147,7 +152,8 @@ Robot FromProto(const v1::Robot& wire) {
               .site = IdIn(wire.site(), "sites"),
               .session = IdIn(wire.session(), "sessions"),
               .streaming = wire.streaming(),
-              .last_seen_ns = wire.last_seen_ns()};
+              .last_seen_ns = wire.last_seen_ns(),
+              .lost_frames = wire.lost_frames()};
   if (wire.has_pose()) robot.pose = FromProto(wire.pose());
   return robot;
 }

@@ -126,6 +126,14 @@ v1::Session ToProto(const pipeline::Session& session) {
   proto.set_last_frame_time_ns(record.last_frame_ns);
   proto.set_building_version(record.building_version);
   proto.set_audio_scans(record.audio_scans);
+  for (const pipeline::Gap& gap : record.gaps) {
+    v1::FrameGap& wire = *proto.add_gaps();
+    wire.set_offset(gap.offset);
+    wire.set_frames(gap.frames);
+    wire.set_from_ns(gap.from_ns);
+    wire.set_to_ns(gap.to_ns);
+    wire.set_reason(gap.reason);
+  }
   return proto;
 }
 
@@ -137,6 +145,7 @@ v1::Robot ToProto(const pipeline::RobotInfo& robot) {
   proto.set_streaming(robot.streaming);
   if (robot.pose) *proto.mutable_pose() = ToProto(*robot.pose);
   proto.set_last_seen_ns(robot.last_seen_ns);
+  proto.set_lost_frames(robot.lost_frames);
   return proto;
 }
 

@@ -35,6 +35,8 @@ std::optional<SensorFormat> FormatOf(v1::Sensor sensor) {
       return SensorFormat{"/scan", "foxglove.LaserScan"};
     case v1::SENSOR_ODOMETRY:
       return SensorFormat{"/odom", "foxglove.Odometry"};
+    case v1::SENSOR_GAP:
+      return SensorFormat{"/session/gap", "foxglove.KeyValuePair"};
     default:
       return std::nullopt;
   }
@@ -56,7 +58,9 @@ std::int64_t CreditFor(const v1::Frame& frame) {
 class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, v1::IngestResponse>,
                               public std::enable_shared_from_this<IngestService::Stream> {
  public:
-  Stream(IngestService* service, Caller caller) : service_(service), caller_(std::move(caller)) {}
+  Stream(IngestService* service, Caller caller) : service_(service), caller_(std::move(caller)) {
+    ++service_->sites_->meters().streams;
+  }
 
   void Start() {
     alive_ = shared_from_this();
@@ -98,6 +102,7 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
 
   void OnDone() override {
     if (session_) session_->Detach(epoch_);
+    --service_->sites_->meters().streams;
     {
       std::lock_guard lock(service_->mutex_);
       service_->streams_.erase(this);

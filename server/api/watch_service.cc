@@ -38,7 +38,10 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
         wants_sources_(request.sound_sources()),
         wants_robots_(request.robots()),
         wants_scans_(request.audio_scans()),
-        heartbeat_(executor_) {}
+        meters_(&service.sites_->meters()),
+        heartbeat_(executor_) {
+    ++meters_->watches;
+  }
 
   void Start(const std::string& resume_token) {
     alive_ = shared_from_this();
@@ -74,6 +77,7 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   }
   void OnDone() override {
     site_->region().events().Unsubscribe(subscription_);
+    --meters_->watches;
     {
       std::lock_guard lock(mutex_);
       heartbeat_.cancel();
@@ -179,6 +183,7 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   const bool wants_sources_;
   const bool wants_robots_;
   const bool wants_scans_;
+  pipeline::Meters* const meters_;
   std::shared_ptr<Stream> alive_;
   int subscription_ = 0;
 

@@ -6,14 +6,18 @@
 
 namespace soundmap::pipeline {
 
-absl::StatusOr<frames::Frame> DriveLog::Reader::Next() {
+absl::StatusOr<std::optional<frames::Frame>> DriveLog::Reader::Next() {
   const auto message = frames_->Next();
   if (!message.ok()) return message.status();
   if (!message->has_value()) {
     return absl::DataLossError(
         absl::StrCat("the log of session '", log_->drive_.session, "' ends early"));
   }
-  return log_->decode_(**message, log_->drive_.calibration);
+  auto decoded = log_->decode_(**message, log_->drive_.calibration);
+  if (!decoded.ok()) return decoded.status();
+  auto* frame = std::get_if<frames::Frame>(&*decoded);
+  if (frame == nullptr) return std::nullopt;
+  return std::move(*frame);
 }
 
 absl::StatusOr<std::unique_ptr<DriveLog>> DriveLog::Open(const SessionRecord& drive,

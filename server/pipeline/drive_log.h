@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include "absl/status/statusor.h"
 #include "pipeline/records.h"
@@ -16,8 +17,9 @@ class DriveLog {
  public:
   class Reader {
    public:
-    // The next frame; DataLoss when the log ends before the drive does, or is damaged.
-    absl::StatusOr<frames::Frame> Next();
+    // The next frame; none where the robot has lost some. DataLoss when the log ends before the
+    // drive does, or is damaged.
+    absl::StatusOr<std::optional<frames::Frame>> Next();
 
    private:
     friend class DriveLog;

@@ -36,6 +36,7 @@ struct RobotInfo {
   bool streaming = false;
   std::optional<localization::PoseEstimate> pose;
   frames::TimeNs last_seen_ns = 0;  // capture time of its newest processed frame
+  std::int64_t lost_frames = 0;     // in that session, before they could be sent
 };
 
 struct SourceRemoved {

@@ -258,6 +258,8 @@ void Listening::Hear(frames::Frame&& frame, Output& output) {
   state_->Drain(/*all=*/false, output);
 }
 
+void Listening::SkipHearing() { ++state_->heard; }
+
 bool Listening::waits() const {
   return !state_->pending_scans.empty() && state_->Waits(state_->pending_scans.front());
 }

@@ -63,6 +63,8 @@ class Listening {
   ~Listening();
 
   void Localize(const frames::Frame& frame, Output& output);
+  // Something else than a sensor's frame comes where the next frame to hear would.
+  void SkipHearing();
   // A frame given away is not copied.
   void Hear(frames::Frame&& frame, Output& output);
   void Hear(const frames::Frame& frame, Output& output) { Hear(frames::Frame(frame), output); }

@@ -40,7 +40,7 @@ class DriveReader {
       }
       const auto frame = reader->Next();
       if (!frame.ok()) return frame.status();
-      take(*frame);
+      if (*frame) take(**frame);
     }
     return absl::OkStatus();
   }

@@ -69,6 +69,12 @@ absl::StatusOr<Record> Read(const std::string& text, const char* what,
 
 }  // namespace
 
+std::int64_t SessionRecord::lost_frames() const {
+  std::int64_t frames = 0;
+  for (const Gap& gap : gaps) frames += gap.frames;
+  return frames;
+}
+
 std::string ToJson(const SiteRecord& record) {
   return Json{{"version", 1},
               {"site", record.site},
@@ -100,6 +106,13 @@ std::string ToJson(const SessionRecord& record) {
   if (record.initial_pose) {
     json["initial_pose"] = {record.initial_pose->x_m, record.initial_pose->y_m,
                             record.initial_pose->yaw_rad};
+  }
+  for (const Gap& gap : record.gaps) {
+    json["gaps"].push_back({{"offset", gap.offset},
+                            {"frames", gap.frames},
+                            {"from_ns", gap.from_ns},
+                            {"to_ns", gap.to_ns},
+                            {"reason", gap.reason}});
   }
   return json.dump();
 }
@@ -139,6 +152,10 @@ absl::StatusOr<SessionRecord> SessionRecordFromJson(const std::string& text) {
     record.first_frame_ns = json.at("first_frame_ns");
     record.last_frame_ns = json.at("last_frame_ns");
     record.audio_scans = json.at("audio_scans");
+    for (const Json& gap : json.value("gaps", Json::array())) {
+      record.gaps.push_back({gap.at("offset"), gap.at("frames"), gap.at("from_ns"), gap.at("to_ns"),
+                             gap.at("reason")});
+    }
     return record;
   });
 }

@@ -25,6 +25,18 @@ struct SiteRecord {
 
 enum class Purpose { kListening, kMapping };
 
+// Frames that the robot recorded and lost before they were sent.
+struct Gap {
+  std::int64_t offset = 0;  // of their record in the session
+  std::int64_t frames = 0;
+  // Log times of the frame before and the one behind; 0: not known.
+  frames::TimeNs from_ns = 0;
+  frames::TimeNs to_ns = 0;
+  std::string reason;
+
+  bool operator==(const Gap&) const = default;
+};
+
 // What the store keeps of a session, as JSON.
 struct SessionRecord {
   std::string site;
@@ -37,12 +49,15 @@ struct SessionRecord {
   std::int64_t epoch = 0;
   std::int64_t create_time_ns = 0;
   std::int64_t building_version = 0;  // that the robot is localized in
+  std::vector<Gap> gaps;              // in order
   bool complete = false;
   // Final figures, once complete.
   std::int64_t frame_count = 0;
   frames::TimeNs first_frame_ns = 0;
   frames::TimeNs last_frame_ns = 0;
   std::int64_t audio_scans = 0;
+
+  std::int64_t lost_frames() const;
 };
 
 std::string ToJson(const SiteRecord& record);

@@ -20,6 +20,8 @@ constexpr std::int64_t kBatchBytes = 2 << 20;
 
 constexpr frames::TimeNs kSnapshotInterval_ns = 10'000'000'000;
 constexpr std::chrono::milliseconds kCommitRetry(500);
+// Of a session; what is lost later counts for the last one.
+constexpr std::size_t kMaxGaps = 1000;
 
 // The end of a drive in the session log: a foxglove.KeyValuePair whose key is "end".
 constexpr char kEndTopic[] = "/session/end";
@@ -35,7 +37,7 @@ Session::Session(SessionRecord record, Site site)
       robot_(record.robot),
       strand_(boost::asio::make_strand(site_.executor)),
       record_(std::move(record)),
-      clock_(site_.times),
+      clock_(site_.meters != nullptr ? &site_.meters->stages : nullptr),
       retry_(strand_) {
   commit_.site = record_.site;
   commit_.session = record_.session;
@@ -141,9 +143,9 @@ absl::StatusOr<Session::Item> Session::Decode(const recording::Message& message)
     item.content = End{};
     return item;
   }
-  auto frame = site_.decode(message, record_.calibration);
-  if (!frame.ok()) return frame.status();
-  item.content = *std::move(frame);
+  auto decoded = site_.decode(message, record_.calibration);
+  if (!decoded.ok()) return decoded.status();
+  std::visit([&item](auto&& content) { item.content = std::move(content); }, *decoded);
   return item;
 }
 
@@ -244,7 +246,8 @@ absl::StatusOr<Session::Taken> Session::Receive(std::int64_t epoch, std::int64_t
   if (offset != received_) return Taken::kGap;
   const auto appended = log_->Append(std::move(message));
   if (!appended.ok()) return appended.status();
-  bytes_in_flight_ += item->payload_bytes;
+  AddInFlight(item->payload_bytes);
+  item->received_at = std::chrono::steady_clock::now();
   queue_.push_back(*std::move(item));
   ++received_;
   return Taken::kYes;
@@ -271,7 +274,7 @@ absl::Status Session::Finish(std::int64_t epoch, std::int64_t frame_count) {
   end.data = kEndPayload;
   const auto appended = log_->Append(std::move(end));
   if (!appended.ok()) return appended.status();
-  queue_.push_back({End{}, record_.last_frame_ns, 0});
+  queue_.push_back({End{}, record_.last_frame_ns, 0, std::chrono::steady_clock::now()});
   ++received_;
   ended_ = true;
   return absl::OkStatus();
@@ -286,6 +289,7 @@ void Session::OnDurable(const absl::StatusOr<std::int64_t>& durable) {
     return;
   }
   storage_trouble_ = absl::OkStatus();
+  MeasureDurableLag(*durable);
   durable_ = std::max(durable_, *durable);
   Wake();
   if (!scheduled_ && !stopping_) {
@@ -360,7 +364,7 @@ absl::Status Session::CatchUp() {
     auto item = Decode(**message);
     if (!item.ok()) return item.status();
     Listening::Output output;
-    listening_->Hear(std::get<frames::Frame>(std::move(item->content)), output);
+    Hear(*std::move(item), output);
     TakeScans(heard_++, std::move(output.scans));
   }
   if (!IsBehind()) unheard_.reset();
@@ -392,20 +396,24 @@ void Session::Apply(Item item) {
   if (batch_first_ns_ == 0) batch_first_ns_ = item.log_time_ns;
   batch_last_ns_ = std::max(batch_last_ns_, item.log_time_ns);  // the end has that of some frame
   if (std::holds_alternative<End>(item.content)) finished_ = true;
+  if (auto* gap = std::get_if<Gap>(&item.content)) {
+    gap->offset = offset;
+    Keep(*gap);
+  }
   if (!listening_) {
     heard_ = next_;
     return;
   }
 
   Listening::Output output;
-  if (auto* frame = std::get_if<frames::Frame>(&item.content)) {
+  if (const auto* frame = std::get_if<frames::Frame>(&item.content)) {
     listening_->Localize(*frame, output);
-    if (heard_ == offset && !listening_->waits()) {
-      listening_->Hear(std::move(*frame), output);
-      heard_ = next_;
-    }
-  } else {
+  }
+  if (finished_) {
     listening_->Finish(output);
+    heard_ = next_;
+  } else if (heard_ == offset && !listening_->waits()) {
+    Hear(std::move(item), output);
     heard_ = next_;
   }
   TakeScans(offset, std::move(output.scans));
@@ -418,6 +426,30 @@ void Session::Apply(Item item) {
     std::lock_guard lock(mutex_);
     newest_pose_ = output.path.back();
   }
+}
+
+void Session::Hear(Item item, Listening::Output& output) {
+  if (auto* frame = std::get_if<frames::Frame>(&item.content)) {
+    listening_->Hear(std::move(*frame), output);
+  } else {
+    listening_->SkipHearing();
+  }
+}
+
+void Session::Keep(const Gap& gap) {
+  std::lock_guard lock(mutex_);
+  std::vector<Gap>& gaps = record_.gaps;
+  // After a crash it comes again.
+  if (!gaps.empty() && gap.offset <= gaps.back().offset) return;
+  if (gaps.size() < kMaxGaps) {
+    gaps.push_back(gap);
+  } else {
+    gaps.back().offset = gap.offset;
+    gaps.back().frames += gap.frames;
+    gaps.back().to_ns = gap.to_ns;
+  }
+  record_changed_ = true;
+  if (site_.meters != nullptr) site_.meters->lost_frames += gap.frames;
 }
 
 void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans) {
@@ -436,6 +468,14 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
 }
 
 absl::Status Session::Commit() {
+  if (record_changed_) {
+    std::lock_guard lock(mutex_);  // what is stored grows newer
+    const absl::Status stored =
+        site_.store->PutRecord(storage::Table::kSession,
+                               absl::StrCat(commit_.site, "/", commit_.session), ToJson(record_));
+    if (!stored.ok()) return stored;
+    record_changed_ = false;
+  }
   if (commit_.processed_offset != next_ || commit_.heard_offset != heard_) {
     commit_.processed_offset = next_;
     commit_.heard_offset = heard_;
@@ -458,14 +498,14 @@ absl::Status Session::Commit() {
   }
   std::lock_guard lock(mutex_);
   processed_ = next_;
-  bytes_in_flight_ = std::max<std::int64_t>(0, bytes_in_flight_ - batch_bytes_);
+  AddInFlight(-std::min(bytes_in_flight_, batch_bytes_));
   batch_bytes_ = 0;
   if (record_.first_frame_ns == 0) record_.first_frame_ns = batch_first_ns_;
   record_.last_frame_ns = std::max(record_.last_frame_ns, batch_last_ns_);
   if (listening_) record_.audio_scans = listening_->counters().audio_scans;
   site_.region->events().Publish(RobotInfo{record_.robot, record_.site, record_.session,
-                                           stream_epoch_ != 0, newest_pose_,
-                                           record_.last_frame_ns});
+                                           stream_epoch_ != 0, newest_pose_, record_.last_frame_ns,
+                                           record_.lost_frames()});
   Wake();
   return absl::OkStatus();
 }
@@ -495,6 +535,21 @@ absl::Status Session::Complete() {
   return site_.store->CloseSession(id());
 }
 
+void Session::AddInFlight(std::int64_t bytes) {
+  bytes_in_flight_ += bytes;
+  if (site_.meters != nullptr) site_.meters->bytes_in_flight += bytes;
+}
+
+void Session::MeasureDurableLag(std::int64_t durable) const {
+  if (site_.meters == nullptr) return;
+  const auto now = std::chrono::steady_clock::now();
+  const std::int64_t queue_begin = received_ - static_cast<std::int64_t>(queue_.size());
+  for (std::int64_t i = std::max(durable_, queue_begin); i < std::min(durable, received_); ++i) {
+    const Item& item = queue_[static_cast<std::size_t>(i - queue_begin)];
+    site_.meters->durable_lag.Add(now - item.received_at);
+  }
+}
+
 void Session::Wake() {
   if (wake_) wake_();
 }
@@ -510,6 +565,8 @@ void Session::Stop() {
     idle.set_value();
   });
   idle.get_future().wait();
+  std::lock_guard lock(mutex_);
+  AddInFlight(-bytes_in_flight_);
 }
 
 }  // namespace soundmap::pipeline

@@ -3,6 +3,7 @@
 #include <boost/asio/any_io_executor.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/asio/strand.hpp>
+#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -15,10 +16,10 @@
 #include "absl/status/statusor.h"
 #include "frames/frames.h"
 #include "pipeline/listening.h"
+#include "pipeline/meters.h"
 #include "pipeline/profile.h"
 #include "pipeline/records.h"
 #include "pipeline/region.h"
-#include "pipeline/stage_times.h"
 #include "storage/store.h"
 
 namespace soundmap::pipeline {
@@ -36,8 +37,9 @@ struct Watermarks {
 // session is a function of the log. Thread safe.
 class Session : public std::enable_shared_from_this<Session> {
  public:
-  using FrameDecoder = std::function<absl::StatusOr<frames::Frame>(const recording::Message&,
-                                                                   const frames::Calibration&)>;
+  using Decoded = std::variant<frames::Frame, Gap>;
+  using FrameDecoder =
+      std::function<absl::StatusOr<Decoded>(const recording::Message&, const frames::Calibration&)>;
   // The site's parts that a session works with; all outlive it.
   struct Site {
     storage::Store* store = nullptr;
@@ -46,7 +48,7 @@ class Session : public std::enable_shared_from_this<Session> {
     std::shared_ptr<const PreparedBuilding> building;  // null while mapping
     FrameDecoder decode;
     boost::asio::any_io_executor executor;
-    StageTimes* times = nullptr;  // null: not measured
+    Meters* meters = nullptr;  // null: nothing is counted
   };
 
   // Opens the log and brings the pipeline to where it was: the last state snapshot, then the frames
@@ -95,9 +97,10 @@ class Session : public std::enable_shared_from_this<Session> {
  private:
   struct End {};
   struct Item {
-    std::variant<frames::Frame, End> content;
+    std::variant<frames::Frame, Gap, End> content;
     std::int64_t log_time_ns = 0;
     std::int64_t payload_bytes = 0;
+    std::chrono::steady_clock::time_point received_at;
   };
 
   Session(SessionRecord record, Site site);
@@ -108,6 +111,8 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // With mutex_ held.
   absl::Status CheckStream(std::int64_t epoch) const;
+  void AddInFlight(std::int64_t bytes);
+  void MeasureDurableLag(std::int64_t durable) const;
   void Wake();
 
   // On the strand, or before it runs.
@@ -117,6 +122,9 @@ class Session : public std::enable_shared_from_this<Session> {
   bool IsBehind() const;
   // Reads some of them from the log and hears them.
   absl::Status CatchUp();
+  // The next item to hear.
+  void Hear(Item item, Listening::Output& output);
+  void Keep(const Gap& gap);
   void TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans);
   absl::Status Commit();
   absl::Status Complete();
@@ -161,6 +169,7 @@ class Session : public std::enable_shared_from_this<Session> {
   frames::TimeNs batch_last_ns_ = 0;
   frames::TimeNs snapshot_ns_ = 0;  // frame time of the last state snapshot
   bool finished_ = false;
+  bool record_changed_ = false;  // and is not stored
   boost::asio::steady_timer retry_;
 };
 

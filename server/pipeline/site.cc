@@ -29,23 +29,23 @@ std::string BuildingKey(const std::string& site, std::int64_t version) {
 }  // namespace
 
 Site::Site(SiteRecord record, Profile profile, storage::Store* store, Session::FrameDecoder decode,
-           boost::asio::any_io_executor executor, StageTimes* times)
+           boost::asio::any_io_executor executor, Meters* meters)
     : profile_(std::move(profile)),
       store_(store),
       decode_(std::move(decode)),
       executor_(std::move(executor)),
-      times_(times),
+      meters_(meters),
       record_(std::move(record)) {}
 
 absl::StatusOr<std::shared_ptr<Site>> Site::Open(SiteRecord record, storage::Store* store,
                                                  Session::FrameDecoder decode,
                                                  boost::asio::any_io_executor executor,
-                                                 StageTimes* times) {
+                                                 Meters* meters) {
   auto profile = ProfileFromToml(record.parameters_toml);
   if (!profile.ok()) return profile.status();
   const std::string name = record.site;
   std::shared_ptr<Site> site(new Site(std::move(record), *std::move(profile), store,
-                                      std::move(decode), std::move(executor), times));
+                                      std::move(decode), std::move(executor), meters));
   auto region = Region::Open(name, store, site->profile_.sound_map);
   if (!region.ok()) return region.status();
   site->region_ = *std::move(region);
@@ -91,7 +91,7 @@ absl::StatusOr<std::shared_ptr<const PreparedBuilding>> Site::Prepared(std::int6
 }
 
 absl::StatusOr<std::shared_ptr<Session>> Site::OpenSession(SessionRecord record) {
-  Session::Site parts{store_, region_.get(), &profile_, nullptr, decode_, executor_, times_};
+  Session::Site parts{store_, region_.get(), &profile_, nullptr, decode_, executor_, meters_};
   if (record.purpose == Purpose::kListening && !record.complete) {
     auto prepared = Prepared(record.building_version);
     if (!prepared.ok()) return prepared.status();
@@ -344,6 +344,7 @@ std::vector<RobotInfo> Site::Robots() const {
     robot.session = record.session;
     robot.last_seen_ns = record.last_frame_ns;
     robot.pose = session->newest_pose();
+    robot.lost_frames = record.lost_frames();
   }
   std::vector<RobotInfo> list;
   list.reserve(robots.size());

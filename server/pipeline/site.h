@@ -51,7 +51,7 @@ class Site : public std::enable_shared_from_this<Site> {
   static absl::StatusOr<std::shared_ptr<Site>> Open(SiteRecord record, storage::Store* store,
                                                     Session::FrameDecoder decode,
                                                     boost::asio::any_io_executor executor,
-                                                    StageTimes* times);
+                                                    Meters* meters);
 
   SiteRecord record() const;
   const Profile& profile() const { return profile_; }
@@ -92,7 +92,7 @@ class Site : public std::enable_shared_from_this<Site> {
 
  private:
   Site(SiteRecord record, Profile profile, storage::Store* store, Session::FrameDecoder decode,
-       boost::asio::any_io_executor executor, StageTimes* times);
+       boost::asio::any_io_executor executor, Meters* meters);
   absl::StatusOr<std::shared_ptr<Session>> OpenSession(SessionRecord record);
   absl::StatusOr<std::shared_ptr<const building::Building>> LoadBuilding(
       std::int64_t version) const;
@@ -108,7 +108,7 @@ class Site : public std::enable_shared_from_this<Site> {
   storage::Store* const store_;
   const Session::FrameDecoder decode_;
   const boost::asio::any_io_executor executor_;
-  StageTimes* const times_;
+  Meters* const meters_;
   std::unique_ptr<Region> region_;
 
   mutable std::mutex mutex_;

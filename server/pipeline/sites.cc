@@ -41,7 +41,7 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
     auto site_record = SiteRecordFromJson(record.bytes);
     if (!site_record.ok()) return site_record.status();
     auto site = Site::Open(*std::move(site_record), store, sites->options_.decode,
-                           sites->options_.executor, &sites->meters().stages);
+                           sites->options_.executor, &sites->meters());
     if (!site.ok()) {
       return absl::Status(
           site.status().code(),
@@ -90,8 +90,7 @@ absl::StatusOr<std::shared_ptr<Site>> Sites::Create(const std::string& name,
   record.create_request_id = request_id;
   const absl::Status stored = store_->PutRecord(storage::Table::kSite, name, ToJson(record));
   if (!stored.ok()) return stored;
-  auto site =
-      Site::Open(std::move(record), store_, options_.decode, options_.executor, &meters().stages);
+  auto site = Site::Open(std::move(record), store_, options_.decode, options_.executor, &meters());
   if (!site.ok()) return site.status();
   sites_[name] = *site;
   return site;

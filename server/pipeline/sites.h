@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "pipeline/meters.h"
 #include "pipeline/site.h"
-#include "pipeline/stage_times.h"
 #include "storage/group_commit.h"
 #include "storage/store.h"
 

@@ -41,12 +41,6 @@ class StageTimes {
   std::array<std::atomic<std::int64_t>, kStages> cpu_ns_{};
 };
 
-// What a server counts of its work, whoever reads it. Thread safe.
-struct Meters {
-  StageTimes stages;
-  std::atomic<std::int64_t> received_bytes = 0;  // of the messages that robots have sent
-};
-
 // Measures the stages of one piece of work, on one thread. A thread's processor time costs a system
 // call, the time of day next to nothing: the laps are taken by the latter and scaled to the former
 // at the end, so that what other threads did meanwhile does not count. It feeds figures and never

@@ -62,10 +62,8 @@ class Drive {
       auto frame = reader->Next();
       if (!frame.ok()) return frame.status();
       Listening::Output output;
-      listening_->Localize(*frame, output);
-      if (listening_->heard() == offset && !listening_->waits()) {
-        listening_->Hear(*std::move(frame), output);
-      }
+      if (*frame) listening_->Localize(**frame, output);
+      if (listening_->heard() == offset && !listening_->waits()) Hear(*std::move(frame), output);
       const absl::Status taken = Take(output);
       if (!taken.ok()) return taken;
       if (!frame_done(offset)) return absl::CancelledError("the trial was cancelled");
@@ -86,11 +84,19 @@ class Drive {
       auto frame = unheard->Next();
       if (!frame.ok()) return frame.status();
       Listening::Output output;
-      listening_->Hear(*std::move(frame), output);
+      Hear(*std::move(frame), output);
       const absl::Status taken = Take(output);
       if (!taken.ok()) return taken;
     }
     return absl::OkStatus();
+  }
+
+  void Hear(std::optional<frames::Frame> frame, Listening::Output& output) {
+    if (frame) {
+      listening_->Hear(*std::move(frame), output);
+    } else {
+      listening_->SkipHearing();
+    }
   }
 
   absl::Status Take(const Listening::Output& output) {

@@ -8,7 +8,8 @@
 #include <filesystem>
 #include <random>
 
-#include "api/decode_frame.h"
+#include "api/decode_message.h"
+#include "foxglove/KeyValuePair.pb.h"
 #include "google/rpc/status_details.pb.h"
 #include "recording/foxglove_messages.h"
 #include "recording/frame_coding.h"
@@ -133,13 +134,8 @@ class IngestServiceTest : public ::testing::Test {
               ::testing::UnitTest::GetInstance()->current_test_info()->name();
     std::filesystem::remove_all(folder_);
     store_ = storage::Store::Open(folder_.string()).value();
-    sites_ = pipeline::Sites::Open(
-                 store_.get(),
-                 {pool_.get_executor(),
-                  [](const recording::Message& message, const frames::Calibration& calibration) {
-                    return DecodeFrame(message.schema, message.data, calibration);
-                  },
-                  pipeline::ProfileByName, [] { return 1; }})
+    sites_ = pipeline::Sites::Open(store_.get(), {pool_.get_executor(), DecodeMessage,
+                                                  pipeline::ProfileByName, [] { return 1; }})
                  .value();
     access_ = Access::Create({}, [] { return 1; }).value();
     service_ = std::make_unique<IngestService>(sites_.get(), access_.get(), pool_.get_executor());
@@ -322,6 +318,52 @@ TEST_F(IngestServiceTest, AGapIsAskedForOnce) {
   EXPECT_FALSE(call.Await(v1::IngestResponse::kRewind));
   EXPECT_TRUE(call.End().ok());
   EXPECT_EQ(Logged().size(), 4u);
+}
+
+TEST_F(IngestServiceTest, WhatTheRobotHasLostIsKept) {
+  const auto lost = [](std::int64_t frames, std::int64_t from_ns, std::int64_t to_ns) {
+    foxglove::KeyValuePair pair;
+    pair.set_key("gap");
+    pair.set_value("{\"frames\":" + std::to_string(frames) +
+                   ",\"from_ns\":" + std::to_string(from_ns) +
+                   ",\"to_ns\":" + std::to_string(to_ns) + ",\"reason\":\"full\"}");
+    return FrameOf({v1::SENSOR_GAP, pair.SerializeAsString()}, false);
+  };
+  const std::vector<pipeline::Gap> gaps = {{1, 40, 10, 20, "full"}, {3, 2, 30, 40, "full"}};
+  {
+    Call call(*stub_, epoch());
+    call.AwaitWelcome();
+    call.Send(0, {FrameOf(Audio(0), true), lost(40, 10, 20), FrameOf(Audio(5), true)});
+    call.Send(3, {lost(2, 30, 40)});
+    call.Send(3, {lost(2, 30, 40)});  // a duplicate is not another one
+    while (const auto ack = call.Await(v1::IngestResponse::kAck)) {
+      if (ack->ack().processed() == 4) break;
+    }
+  }
+  const auto check = [&] {
+    EXPECT_EQ((*site_->GetSession("d"))->record().gaps, gaps);
+    const auto robots = site_->Robots();
+    ASSERT_EQ(robots.size(), 1u);
+    EXPECT_EQ(robots[0].lost_frames, 42);
+    EXPECT_EQ(sites_->meters().lost_frames, 42);
+  };
+  check();
+  // What is stored says the same.
+  const auto stored = store_->GetRecord(storage::Table::kSession, "hall/d");
+  ASSERT_TRUE(stored.ok());
+  EXPECT_EQ(pipeline::SessionRecordFromJson(**stored)->gaps, gaps);
+  Call call(*stub_, NextEpoch());
+  call.AwaitWelcome();
+  call.Send(4, {FrameOf(Audio(6), true)});
+  call.Finish(5);
+  EXPECT_TRUE(call.End().ok());
+  check();
+
+  request_.session = "e";
+  Call bad(*stub_, NextEpoch(), "e");
+  bad.AwaitWelcome();
+  bad.Send(0, {lost(0, 10, 20)});
+  EXPECT_EQ(bad.End().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
 TEST_F(IngestServiceTest, ANewerEpochFencesTheOlderOne) {

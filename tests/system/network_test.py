@@ -1,13 +1,13 @@
 """How frames reach the server over a network that fails: coded, spooled, cut, with the agent killed."""
 
 import json
-import random
 import select
 import socket
 import threading
 import unittest
+import urllib.request
 
-from programs import DRIVES, ProgramTest, start, start_pose
+from programs import DRIVES, ProgramTest, random_moments, start, start_pose
 
 SHORT = DRIVES / "short.mcap"
 
@@ -141,18 +141,19 @@ dir = "{self.folder / 'spool'}"
         self.make_site(server)
         link = self.link_to(server)
         config = self.config(SHORT, link.address)
-        generator = random.Random(3)
-        moments = sorted(generator.sample(range(frames), 8))
         agent = None
-        for i, moment in enumerate(moments):
+        for i, moment in enumerate(random_moments(8)):
             if agent is None:
                 agent = start(server, "soundmap-robot", "run", "--config", config)
-            while self.processed(server) < moment and agent.poll() is None:
+            while self.processed(server) < frames * moment and agent.poll() is None:
                 pass
             if i % 2 == 0:
                 agent.kill()
                 agent.communicate()
                 agent = None
+                # What the spool has let go is on the server's disk.
+                for session in self.spooled():
+                    self.durable(server, at_least=session["recorded"] - session["waiting"])
             else:
                 link.down()
                 link.up()
@@ -191,6 +192,39 @@ dir = "{self.folder / 'spool'}"
         (session,) = self.spooled()
         self.assertTrue(session["delivered"])
         self.assertEqual(session["bytes"], 0)
+
+    def test_what_a_full_spool_dropped_is_shown_by_the_server(self):
+        server = self.server()
+        self.make_site(server)
+        link = self.link_to(server, up=False)
+        config = self.config(SHORT, link.address, speed=0, spool='max_gb = 0.002\nwhen_full = "drop_oldest"')
+        agent = start(server, "soundmap-robot", "run", "--config", config)
+        while not (self.folder / "spool").exists() or not any(s["ended"] for s in self.spooled()):
+            self.assertIsNone(agent.poll())
+        link.up()
+        self.assertEqual(agent.wait(timeout=120), 0, agent.stderr.read())
+        agent.communicate()
+        (spooled,) = self.spooled()
+        (lost,) = spooled["gaps"]
+
+        def check():
+            (session,) = self.session_list(server)
+            (gap,) = session["gaps"]
+            self.assertEqual(gap["frames"], lost["frames"])
+            self.assertEqual((gap["offset"], gap["from_ns"]), (0, 0))
+            self.assertIn("the spool was full", gap["reason"])
+            self.assertEqual(int(session["processed"]), spooled["recorded"] - lost["frames"] + 1)
+            robots = json.loads(self.ok(server, "soundmap", "robots", "site", "--format", "json"))["robots"]
+            (robot,) = [robot for robot in robots if robot["id"] == "robot"]
+            self.assertEqual(robot["lost_frames"], lost["frames"])
+            self.assertIn("the spool was full", self.ok(server, "soundmap", "sessions", "site"))
+
+        check()
+        with urllib.request.urlopen(f"http://{server.http_address}/metrics") as metrics:
+            self.assertIn(f"soundmap_lost_frames_total {lost['frames']}\n", metrics.read().decode())
+        server.kill()
+        server = self.server()
+        check()
 
     def test_a_configuration_with_a_mistake_is_refused(self):
         path = self.config(SHORT, "127.0.0.1:1")

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import pathlib
+import random
 import select
 import shutil
 import signal
@@ -84,6 +85,12 @@ def start_pose(drive):
     return ",".join(repr(value) for value in pose)
 
 
+def random_moments(count):
+    """So many shares of a drive, or SOUNDMAP_KILLS, the same ones for one SOUNDMAP_SEED; none so late that the drive could be over."""
+    generator = random.Random(int(os.environ.get("SOUNDMAP_SEED", 1)))
+    return sorted(generator.uniform(0.02, 0.7) for _ in range(int(os.environ.get("SOUNDMAP_KILLS", count))))
+
+
 class ProgramTest(unittest.TestCase):
     """Each test has a folder of its own and servers that end with it."""
 
@@ -155,20 +162,34 @@ class ProgramTest(unittest.TestCase):
     def processed(self, server):
         return sum(int(session["processed"]) for session in self.session_list(server))
 
+    def durable(self, server, at_least=0):
+        durable = sum(int(session["durable"]) for session in self.session_list(server))
+        self.assertGreaterEqual(durable, at_least, "frames that were acknowledged as durable are gone")
+        return durable
+
     def replay_while_killing(self, server, frames, arguments):
-        """Replays a drive of so many frames through five crashes of the server; returns the last server."""
+        """Replays a drive of so many frames through crashes of the server, the robot's program or both at random moments; returns the last
+        server. What was said to be durable stays so."""
+        moments = random_moments(5)
         interrupted = 0
-        for moment in range(1, 6):
+        durable = 0
+        for i, moment in enumerate(moments):
             # At a pace, so that the frames do not run ahead of what is processed.
             robot = start(server, "soundmap-robot", *arguments, "--connect-timeout", "5")
-            while self.processed(server) < frames * moment / 8 and robot.poll() is None:
-                pass
+            while self.processed(server) < frames * moment and robot.poll() is None:
+                durable = self.durable(server, at_least=durable)
             interrupted += robot.poll() is None
-            server.kill()
+            victim = ("server", "both", "robot")[i % 3]
+            if victim != "robot":
+                server.kill()
+            if victim != "server":
+                robot.kill()
             robot.terminate()
             robot.communicate()
-            server = self.server(server.data_dir.name)
-        self.assertGreaterEqual(interrupted, 3)
+            if victim != "robot":
+                server = self.server(server.data_dir.name)
+        durable = self.durable(server, at_least=durable)
+        self.assertGreaterEqual(interrupted, len(moments) * 3 // 5)
         self.ok(server, "soundmap-robot", *arguments)
         self.assertEqual(self.processed(server), frames)
         return server

@@ -25,6 +25,15 @@ struct Site {
 enum class Purpose { kUnknown, kListening, kMapping };
 enum class SessionState { kUnknown, kOpen, kComplete, kFailed };
 
+// Frames that a robot recorded and lost before they could be sent.
+struct FrameGap {
+  std::int64_t offset = 0;  // in the session, in their place
+  std::int64_t frames = 0;
+  std::int64_t from_ns = 0;  // capture time of the frame before; 0: not known
+  std::int64_t to_ns = 0;    // of the frame behind; 0: not known
+  std::string reason;
+};
+
 // One drive of one robot at one site.
 struct Session {
   std::string id;
@@ -43,6 +52,7 @@ struct Session {
   std::int64_t last_frame_time_ns = 0;
   std::int64_t building_version = 0;
   std::int64_t audio_scans = 0;  // that entered the map
+  std::vector<FrameGap> gaps;    // in order
 };
 
 // A robot that has had a session; its last known whereabouts.
@@ -53,6 +63,7 @@ struct Robot {
   bool streaming = false;
   std::optional<PoseEstimate> pose;
   std::int64_t last_seen_ns = 0;  // server time
+  std::int64_t lost_frames = 0;   // in that session, before they could be sent
 };
 
 // Long-running work on the server.
