@@ -469,7 +469,7 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
 
 absl::Status Session::Commit() {
   if (record_changed_) {
-    std::lock_guard lock(mutex_);  // what is stored grows newer
+    std::lock_guard lock(mutex_);  // no older record takes the place of NextEpoch()'s
     const absl::Status stored =
         site_.store->PutRecord(storage::Table::kSession,
                                absl::StrCat(commit_.site, "/", commit_.session), ToJson(record_));

@@ -35,7 +35,7 @@ class DurabilityTest(ProgramTest):
         self.ok(server, "soundmap-robot", *self.replay_arguments(DRIVES / "short.mcap"), "--new-session")
         self.assertNotEqual(self.full_map(server), voxels)
 
-    def test_kill_at_five_moments_of_a_drive(self):
+    def test_kill_at_random_moments_of_a_drive(self):
         server = self.server("undisturbed")
         self.make_site(server)
         self.replay(server, DRIVE)
@@ -61,7 +61,7 @@ class DurabilityTest(ProgramTest):
         robot = start(server, "soundmap-robot", *self.replay_arguments(DRIVE), "--connect-timeout", "1")
         while self.processed(server) < 100 and robot.poll() is None:
             pass
-        self.assertEqual(server.stop(), 0)
+        self.assertEqual(server.stop(within_s=10), 0)
         robot.terminate()
         robot.communicate()
         server = self.server("stopped")
