@@ -2,10 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
-#include <bit>
 #include <cmath>
-#include <cstdint>
-#include <cstring>
 
 #include "geometry/angles.h"
 
@@ -14,32 +11,7 @@ namespace {
 
 using geometry::kPi;
 
-constexpr int kLanes = 4;
 constexpr double kMaxStep = 0.5;
-typedef std::int32_t Int4 __attribute__((vector_size(16)));
-
-Float4 Splat(float value) { return Float4{value, value, value, value}; }
-
-// The four cubic B-splines that are not zero at t = 0 .. 1 after a knot.
-struct Weights {
-  Float4 tap[4];
-};
-Weights BSpline(Float4 t) {
-  constexpr float kSixth = 1.0f / 6.0f;
-  const Float4 rest = 1.0f - t;
-  Weights w;
-  w.tap[0] = kSixth * rest * rest * rest;
-  w.tap[1] = 2.0f / 3.0f - 0.5f * t * t * (2.0f - t);
-  w.tap[2] = 2.0f / 3.0f - 0.5f * rest * rest * (1.0f + t);
-  w.tap[3] = kSixth * t * t * t;
-  return w;
-}
-
-Float4 RowSum(const float* row, std::ptrdiff_t stride, const Weights& weights, int lane) {
-  Float4 sum = weights.tap[0][lane] * LoadFloat4(row);
-  for (int tap = 1; tap < 4; ++tap) sum += weights.tap[tap][lane] * LoadFloat4(row + tap * stride);
-  return sum;
-}
 
 // Samples to coefficients of the cubic B-spline through them, in place. The ends, where samples are
 // missing, are not exact; the error falls by 3.7 a sample.
@@ -106,8 +78,11 @@ void BeamPattern::BuildBand() {
   const double max_rad_s = 2.0 * kPi * std::max(layout_.bin_hz(layout_.bins - 1), 1.0);
   resolution_rad_ = kPi / (max_rad_s * max_delay_s);
   band_step_s_ = kStep_rad / max_rad_s;
-  // Delays of two directions differ by at most twice the largest delay.
-  band_.resize(static_cast<std::size_t>(std::ceil(2.0 * max_delay_s / band_step_s_)) + 2);
+  for (PairGroup& group : groups_) group.delay_steps = group.delay_s / band_step_s_;
+  // Delays of two directions differ by at most twice the largest delay; the table's corners lie
+  // beyond.
+  constexpr double kLongest = 8.0;
+  band_.resize(static_cast<std::size_t>(std::ceil(kLongest * max_delay_s / band_step_s_)) + 2);
   for (std::size_t i = 0; i < band_.size(); ++i) {
     band_[i] = static_cast<float>(BandSum(static_cast<double>(i) * band_step_s_));
   }
@@ -208,14 +183,13 @@ void BeamPattern::BuildTable() {
 double BeamPattern::PairByPair(const Eigen::Vector3d& difference) const {
   double sum = 0.0;
   for (const PairGroup& group : groups_) {
-    const double delay_s = group.delay_s.dot(difference);
-    const double position = std::abs(delay_s) / band_step_s_;
+    const double position = std::abs(group.delay_steps.dot(difference));
     const auto index = static_cast<std::size_t>(position);
     if (index + 1 < band_.size()) {
       const double t = position - static_cast<double>(index);
       sum += group.count * ((1.0 - t) * band_[index] + t * band_[index + 1]);
     } else {
-      sum += group.count * BandSum(delay_s);
+      sum += group.count * BandSum(group.delay_s.dot(difference));
     }
   }
   const double n = microphones_;
@@ -227,18 +201,19 @@ BeamPattern::Places BeamPattern::Prepare(std::span<const Eigen::Vector3d> direct
   places.size_ = static_cast<int>(directions.size());
   for (int axis = 0; axis < 3; ++axis) {
     std::vector<float>& at = places.at_[axis];
-    at.reserve(directions.size() + kLanes);
+    at.reserve(directions.size() + SplineTable::kPadding);
     for (const Eigen::Vector3d& direction : directions) {
       at.push_back(static_cast<float>(
           table_.empty() ? direction[axis] : steps_from_direction_.row(axis) * direction));
     }
-    at.resize(directions.size() + kLanes, at.empty() ? 0.0f : at.back());
+    at.resize(directions.size() + SplineTable::kPadding, at.empty() ? 0.0f : at.back());
   }
   return places;
 }
 
 void BeamPattern::AddResponse(const Eigen::Vector3d& source, float gain, float offset,
-                              const Places& directions, int first, std::span<float> power) const {
+                              const Places& directions, int first, std::span<float> power,
+                              bool plain) const {
   if (table_.empty()) {
     for (std::size_t i = 0; i < power.size(); ++i) {
       const std::size_t at = first + i;
@@ -251,68 +226,13 @@ void BeamPattern::AddResponse(const Eigen::Vector3d& source, float gain, float o
   const Eigen::Vector3f origin = (steps_from_direction_ * source).cast<float>();
   const float* const at[3] = {&directions.at_[0][first], &directions.at_[1][first],
                               &directions.at_[2][first]};
-  const auto responses = [&](std::size_t i) {
-    const Float4 difference[3] = {LoadFloat4(at[0] + i) - origin[0],
-                                  LoadFloat4(at[1] + i) - origin[1],
-                                  LoadFloat4(at[2] + i) - origin[2]};
-    return array_rank_ == 3   ? FromTable<3>(difference)
-           : array_rank_ == 2 ? FromTable<2>(difference)
-                              : FromTable<1>(difference);
-  };
-  std::size_t i = 0;
-  for (; i + kLanes <= power.size(); i += kLanes) {
-    const Float4 sum = LoadFloat4(&power[i]) + gain * (responses(i) - offset);
-    std::memcpy(&power[i], &sum, sizeof(sum));
-  }
-  if (i == power.size()) return;
-  const Float4 rest = gain * (responses(i) - offset);
-  for (int lane = 0; i < power.size(); ++i, ++lane) power[i] += rest[lane];
+  table().Add(at, origin, gain, offset, power, plain);
 }
 
 double BeamPattern::ResponseAt(const Eigen::Vector3d& source,
                                const Eigen::Vector3d& direction) const {
   if (table_.empty()) return PairByPair(direction - source);
-  const Eigen::Vector3f steps = (steps_from_direction_ * (direction - source)).cast<float>();
-  const Float4 difference[3] = {Splat(steps[0]), Splat(steps[1]), Splat(steps[2])};
-  return (array_rank_ == 3   ? FromTable<3>(difference)
-          : array_rank_ == 2 ? FromTable<2>(difference)
-                             : FromTable<1>(difference))[0];
-}
-
-template <int kRank>
-Float4 BeamPattern::FromTable(const Float4 difference[3]) const {
-  // The first coordinate is brought above 0: the response is even.
-  constexpr int kFirst = 3 - kRank;
-  const Int4 sign = std::bit_cast<Int4>(difference[kFirst]) & INT32_MIN;
-  Int4 base = {0, 0, 0, 0};
-  Weights weights[3];
-  for (int axis = kFirst; axis < 3; ++axis) {
-    const Int4 bits = std::bit_cast<Int4>(difference[axis]) ^ sign;
-    const Float4 steps = std::bit_cast<Float4>(bits) - static_cast<float>(begin_[axis]);
-    const Int4 whole = __builtin_convertvector(steps, Int4);
-    weights[axis] = BSpline(steps - __builtin_convertvector(whole, Float4));
-    base = base * length_[axis] + (whole - 1);
-  }
-  Transpose(weights[2].tap[0], weights[2].tap[1], weights[2].tap[2], weights[2].tap[3]);
-  Float4 sum[kLanes];
-  for (int lane = 0; lane < kLanes; ++lane) {
-    const float* row = table_.data() + base[lane];
-    if constexpr (kRank == 1) {
-      sum[lane] = LoadFloat4(row);
-    } else if constexpr (kRank == 2) {
-      sum[lane] = RowSum(row, length_[2], weights[1], lane);
-    } else {
-      const std::ptrdiff_t plane = static_cast<std::ptrdiff_t>(length_[1]) * length_[2];
-      sum[lane] = weights[0].tap[0][lane] * RowSum(row, length_[2], weights[1], lane);
-      for (int tap = 1; tap < 4; ++tap) {
-        sum[lane] +=
-            weights[0].tap[tap][lane] * RowSum(row + tap * plane, length_[2], weights[1], lane);
-      }
-    }
-    sum[lane] *= weights[2].tap[lane];
-  }
-  Transpose(sum[0], sum[1], sum[2], sum[3]);
-  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+  return table().At((steps_from_direction_ * (direction - source)).cast<float>());
 }
 
 double BeamPattern::IncoherentSpread() const {

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "acoustics/config.h"
-#include "acoustics/float4.h"
+#include "acoustics/spline_table.h"
 
 namespace soundmap::acoustics {
 
@@ -36,8 +36,10 @@ class BeamPattern {
   Places Prepare(std::span<const Eigen::Vector3d> directions) const;
 
   // power[i] += gain * (the response in direction first + i - offset), for as many as `power` has.
+  // `plain`: as on a processor without AVX2, with the same bits.
   void AddResponse(const Eigen::Vector3d& source, float gain, float offset,
-                   const Places& directions, int first, std::span<float> power) const;
+                   const Places& directions, int first, std::span<float> power,
+                   bool plain = false) const;
 
   // Standard deviation of S, in one direction, in noise that is independent at each microphone.
   double IncoherentSpread() const;
@@ -68,6 +70,7 @@ class BeamPattern {
   struct PairGroup {
     Eigen::Vector3d delay_s;  // of the vector
     int count = 0;
+    Eigen::Vector3d delay_steps = Eigen::Vector3d::Zero();  // the same, in steps of band_
   };
 
   void BuildGroups(double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m);
@@ -77,9 +80,12 @@ class BeamPattern {
   double StepAlong(const Eigen::Vector3d& axis) const;
   double BandSum(double delay_s) const;  // sum over the band of cos(2 pi f tau)
   double PairByPair(const Eigen::Vector3d& difference) const;
-  // The responses at differences of directions in steps.
-  template <int kRank>
-  Float4 FromTable(const Float4 difference[3]) const;
+  SplineTable table() const {
+    return {table_.data(),
+            array_rank_,
+            {begin_[0], begin_[1], begin_[2]},
+            {length_[0], length_[1], length_[2]}};
+  }
 
   FrameLayout layout_;
   int microphones_;

@@ -74,7 +74,11 @@ std::optional<Eigen::Vector3d> NormalOf(const std::vector<Eigen::Vector3f>& poin
 class View {
  public:
   View(std::span<const Eigen::Vector3f> points, const Eigen::Vector3d& origin)
-      : points_(points), origin_(origin), unit_(points.size(), 3), cosine_(points.size()) {
+      : points_(points),
+        origin_(origin),
+        unit_(points.size(), 3),
+        cosine_(points.size()),
+        largest_((static_cast<Eigen::Index>(points.size()) + kGroup - 1) / kGroup) {
     const Eigen::Map<const Eigen::Matrix3Xf> columns(points.data()->data(), 3, points.size());
     unit_ = (columns.colwise() - origin.cast<float>()).transpose();
     unit_.array().colwise() /= unit_.rowwise().norm().array().max(1e-6f);
@@ -84,9 +88,19 @@ class View {
   std::optional<Surface> Along(const Eigen::Vector3d& direction) {
     const Eigen::Vector3f along = direction.cast<float>();
     cosine_.noalias() = unit_ * along;
-    Eigen::Index nearest = 0;
-    const float cosine = cosine_.maxCoeff(&nearest);
+    // The largest of each group tells where to look.
+    float cosine = -2.0f;
+    Eigen::Index nearest_group = 0;
+    for (Eigen::Index g = 0; g < largest_.size(); ++g) {
+      largest_[g] = cosine_.segment(g * kGroup, SizeOf(g)).maxCoeff();
+      if (largest_[g] > cosine) {
+        cosine = largest_[g];
+        nearest_group = g;
+      }
+    }
     if (!(cosine > static_cast<float>(std::cos(kNearRay_rad)))) return std::nullopt;
+    Eigen::Index nearest = nearest_group * kGroup;
+    while (cosine_[nearest] != cosine) ++nearest;
     const Eigen::Vector3f& end = points_[nearest];
     const double range_m = (end.cast<double>() - origin_).norm();
     const double patch_m = std::max(kPatch_m, kPatchPerRange * range_m);
@@ -95,18 +109,27 @@ class View {
     const auto least = static_cast<float>(std::cos(widest_rad));
     const auto reach2 = static_cast<float>(patch_m * patch_m);
     std::vector<Eigen::Vector3f> patch = {end};
-    for (Eigen::Index i = 0; i < cosine_.size(); ++i) {
-      if (cosine_[i] < least || i == nearest) continue;
-      if ((points_[i] - end).squaredNorm() <= reach2) patch.push_back(points_[i]);
+    for (Eigen::Index g = 0; g < largest_.size(); ++g) {
+      if (largest_[g] < least) continue;
+      for (Eigen::Index i = g * kGroup; i < g * kGroup + SizeOf(g); ++i) {
+        if (cosine_[i] < least || i == nearest) continue;
+        if ((points_[i] - end).squaredNorm() <= reach2) patch.push_back(points_[i]);
+      }
     }
     return Surface{origin_ + range_m * direction, NormalOf(patch)};
   }
 
  private:
+  static constexpr Eigen::Index kGroup = 64;
+  Eigen::Index SizeOf(Eigen::Index group) const {
+    return std::min(kGroup, cosine_.size() - group * kGroup);
+  }
+
   std::span<const Eigen::Vector3f> points_;
   Eigen::Vector3d origin_;
   Eigen::MatrixX3f unit_;
-  Eigen::VectorXf cosine_;  // to the ray at hand
+  Eigen::VectorXf cosine_;   // to the ray at hand
+  Eigen::VectorXf largest_;  // of each group of points
 };
 
 }  // namespace

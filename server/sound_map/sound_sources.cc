@@ -105,7 +105,11 @@ std::vector<SoundSource> FindByKMeans(const Snapshot& snapshot, const SoundSourc
         (maximum.centroid_key + Eigen::Vector3d::Constant(0.5 - geometry::VoxelKey::kCentre)) *
         voxel_size_m);
   }
-  const KMeansResult clusters = KMeans(points, std::move(seeds), config.max_iterations);
+  // A search takes 0.2 s at most: it comes again with every update of the sources.
+  constexpr std::size_t kMaxSteps = 1'000'000;
+  const int max_iterations = static_cast<int>(std::clamp<std::size_t>(
+      kMaxSteps / std::max<std::size_t>(points.size(), 1), 1, config.max_iterations));
+  const KMeansResult clusters = KMeans(points, std::move(seeds), max_iterations);
 
   std::vector<std::vector<const ObservedVoxel*>> members(clusters.centres.size());
   for (std::size_t i = 0; i < positive.size(); ++i) {

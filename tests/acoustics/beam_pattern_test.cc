@@ -70,6 +70,9 @@ TEST_P(BeamPatternOracle, IsTheScanOfAUnitWave) {
     constexpr int kFirst = 1;
     std::vector<float> power(kDirections - kFirst - 2, 1.0f);
     beam.AddResponse(source, 2.0f, 0.5f, places, kFirst, power);
+    std::vector<float> plain(power.size(), 1.0f);
+    beam.AddResponse(source, 2.0f, 0.5f, places, kFirst, plain, /*plain=*/true);
+    EXPECT_EQ(power, plain);
     EXPECT_NEAR(beam.ResponseAt(source, source), layout.bins, BeamPattern::kMaxError * layout.bins);
     for (std::size_t i = 0; i < power.size(); ++i) {
       const Eigen::Vector3d& direction = directions[kFirst + i];
