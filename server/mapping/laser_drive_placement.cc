@@ -28,7 +28,6 @@ constexpr int kPlacesOfProbe = 6;
 constexpr double kMinShare = 0.7;
 constexpr double kMinScore = 0.6;
 constexpr double kSearchCell_m = 0.2;
-constexpr float kSearchPoints_m = 0.4f;
 constexpr double kSearchReach_m = 12.0;
 // How far a starting pose that was given may be off.
 constexpr double kNearStart_m = 1.5;
@@ -163,8 +162,8 @@ class Target {
   }
   std::vector<LaserSearchResult> Find(const Stretch& probe, const Pose2& start,
                                       const LaserWindow& window) const {
-    return search_.FindSeveral(FirstPointPerSquare(probe.point_in_base, kSearchPoints_m), start,
-                               window, kMinScore, kMinShare, kPlacesOfProbe);
+    return search_.FindSeveral(probe.point_in_base, start, window, kMinScore, kMinShare,
+                               kPlacesOfProbe);
   }
   LaserMatch Match(const Stretch& stretch, const Pose2& map_from_base) const {
     return MatchToLines(

@@ -52,7 +52,6 @@ class LaserSearch {
     double yaw_rad = 0.0;
     std::vector<Eigen::Vector2i> cells;  // of the points, at the start's place
   };
-
   double Score(const Rotation& rotation, int x, int y, int level) const;
   std::vector<Candidate> Coarsest(const std::vector<Rotation>& rotations, int window_cells,
                                   double more_than, int& level) const;
