@@ -105,7 +105,7 @@ std::vector<SoundSource> FindByKMeans(const Snapshot& snapshot, const SoundSourc
         (maximum.centroid_key + Eigen::Vector3d::Constant(0.5 - geometry::VoxelKey::kCentre)) *
         voxel_size_m);
   }
-  // A search takes 0.2 s at most: it comes again with every update of the sources.
+  // Bounded, since a search comes again with every update of the sources.
   constexpr std::size_t kMaxSteps = 1'000'000;
   const int max_iterations = static_cast<int>(std::clamp<std::size_t>(
       kMaxSteps / std::max<std::size_t>(points.size(), 1), 1, config.max_iterations));

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <random>
 
 namespace soundmap::ray_casting {
@@ -68,6 +69,26 @@ TEST_F(ReflectionsTest, FirstAndSecondImagesOfAStrongerPeakAreMarkedAndOtherSour
   Hear(Image(in_side, 0, kMin.x()));  // by way of two walls
   Hear({1.0, 2.0, kMax.z()});         // on the ceiling
   EXPECT_EQ(Marked(), (std::vector<bool>{false, true, false, true, true, false}));
+}
+
+// Whichever points of a wall stand together in the scan, or in its last, short group.
+TEST_F(ReflectionsTest, TheOrderOfThePointsDoesNotMatter) {
+  const Eigen::Vector3d source(kMax.x(), 1.0, 0.5);
+  Hear(source);
+  Hear(Image(source, 2, kMin.z()));
+  Hear(Image(source, 1, kMax.y()));
+  Hear({1.0, 2.0, kMax.z()});
+  const std::vector<bool> expected = {false, true, true, false};
+  ASSERT_EQ(Marked(), expected);
+  std::mt19937 random(6);
+  for (int order = 0; order < 20; ++order) {
+    std::shuffle(points_.begin(), points_.end(), random);
+    EXPECT_EQ(Marked(), expected) << "order " << order;
+  }
+  // All that is on the floor at the end.
+  std::partition(points_.begin(), points_.end(),
+                 [](const Eigen::Vector3f& point) { return point.z() > kMin.z() + 0.1f; });
+  EXPECT_EQ(Marked(), expected);
 }
 
 TEST_F(ReflectionsTest, AStrongerPeakIsNoReflectionOfAWeakerOne) {
