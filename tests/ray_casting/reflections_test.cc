@@ -85,9 +85,13 @@ TEST_F(ReflectionsTest, TheOrderOfThePointsDoesNotMatter) {
     std::shuffle(points_.begin(), points_.end(), random);
     EXPECT_EQ(Marked(), expected) << "order " << order;
   }
-  // All that is on the floor at the end.
+  // The place where the floor reflects at the end, and at the beginning.
+  const Eigen::Vector3d image = Image(source, 2, kMin.z());
+  const Eigen::Vector3f mirror = (kMin.z() / image.z() * image).cast<float>();
   std::partition(points_.begin(), points_.end(),
-                 [](const Eigen::Vector3f& point) { return point.z() > kMin.z() + 0.1f; });
+                 [&](const Eigen::Vector3f& point) { return (point - mirror).norm() > 0.4f; });
+  EXPECT_EQ(Marked(), expected);
+  std::reverse(points_.begin(), points_.end());
   EXPECT_EQ(Marked(), expected);
 }
 
