@@ -76,7 +76,10 @@ void BeamPattern::BuildBand() {
   double max_delay_s = 0.0;
   for (const PairGroup& group : groups_) max_delay_s = std::max(max_delay_s, group.delay_s.norm());
   const double max_rad_s = 2.0 * kPi * std::max(layout_.bin_hz(layout_.bins - 1), 1.0);
-  resolution_rad_ = kPi / (max_rad_s * max_delay_s);
+  double squares_hz2 = 0.0;
+  for (int b = 0; b < layout_.bins; ++b) squares_hz2 += layout_.bin_hz(b) * layout_.bin_hz(b);
+  const double rms_rad_s = 2.0 * kPi * std::max(std::sqrt(squares_hz2 / layout_.bins), 1.0);
+  resolution_rad_ = kPi / (rms_rad_s * max_delay_s);
   band_step_s_ = kStep_rad / max_rad_s;
   for (PairGroup& group : groups_) group.delay_steps = group.delay_s / band_step_s_;
   // Delays of two directions differ by at most twice the largest delay; the table's corners lie

@@ -46,8 +46,8 @@ class BeamPattern {
   // S of such noise, on average.
   double Incoherent() const { return static_cast<double>(layout_.bins) / microphones_; }
 
-  // Half the period of the fastest change of S with the direction: nothing lies between directions
-  // that are closer.
+  // Half the period with which S changes along the array's longest side, at the band's root mean
+  // square frequency: as fine as a beam is on average over the band.
   double resolution_rad() const { return resolution_rad_; }
 
   // The directions that the array cannot tell from `direction` have the same image under this map:

@@ -1,5 +1,6 @@
 #include "acoustics/config.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
@@ -145,20 +146,17 @@ absl::StatusOr<FrameLayout> FrameLayout::Create(const AcousticsConfig& config, i
                                                    " frames lasts longer than ", kMaxScanDuration_s,
                                                    " s"));
   }
-  if (config.f_max_hz > sample_rate_hz / 2.0) {
-    return absl::InvalidArgumentError(absl::StrCat("acoustics.f_max_hz is ", config.f_max_hz,
-                                                   "; audio sampled at ", sample_rate_hz,
-                                                   " Hz ends at ", sample_rate_hz / 2.0));
-  }
+  const double f_max_hz = std::min(config.f_max_hz, sample_rate_hz / 2.0);
   const double bins_per_hz = static_cast<double>(layout.window_samples) / sample_rate_hz;
   constexpr double kRounding = 1e-9;  // keeps a bin that lies on a limit
   layout.first_bin = static_cast<int>(std::ceil(config.f_min_hz * bins_per_hz - kRounding));
-  layout.bins = static_cast<int>(std::floor(config.f_max_hz * bins_per_hz + kRounding)) -
-                layout.first_bin + 1;
+  layout.bins =
+      static_cast<int>(std::floor(f_max_hz * bins_per_hz + kRounding)) - layout.first_bin + 1;
   if (layout.bins < 1) {
     return absl::InvalidArgumentError(
-        absl::StrCat("no frequency bin lies in the band from ", config.f_min_hz, " to ",
-                     config.f_max_hz, " Hz: the bins are ", 1.0 / bins_per_hz, " Hz apart"));
+        absl::StrCat("no frequency bin lies in the band from acoustics.f_min_hz, ", config.f_min_hz,
+                     " Hz, to ", f_max_hz, " Hz: the bins of audio sampled at ", sample_rate_hz,
+                     " Hz are ", 1.0 / bins_per_hz, " Hz apart"));
   }
   return layout;
 }

@@ -84,9 +84,9 @@ struct AcousticsConfig {
   std::optional<int> window_samples;  // W itself, at any rate, in place of window_s; even
   int frames_per_scan = 10;           // K
   double f_min_hz = 1000.0;           // eq. (5), inclusive
-  // Section VI has 3000 Hz. Up to 4000 Hz a beam is narrower, and more of what hisses is heard;
-  // every sample rate has that much.
-  double f_max_hz = 4000.0;  // eq. (5), inclusive
+  // Eq. (5), inclusive; above half the sample rate there is nothing. Section VI has 3000 Hz. Up to
+  // 5000 Hz a beam is narrower, and more of what hisses is heard.
+  double f_max_hz = 5000.0;
   double speed_of_sound_mps = 343.0;
   std::variant<EqualAreaGrid, SectorGrid> grid;
   std::variant<PeakEvidence, DoubleThreshold, ScaledPower> evidence;
@@ -113,7 +113,7 @@ struct FrameLayout {
   }
 
   // InvalidArgument: an invalid configuration, a sample rate outside 8 to 192 kHz, no bin in the
-  // band, a band above half the sample rate.
+  // part of the band below half the sample rate.
   static absl::StatusOr<FrameLayout> Create(const AcousticsConfig& config, int sample_rate_hz);
 };
 

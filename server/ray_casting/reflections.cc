@@ -11,11 +11,13 @@ namespace soundmap::ray_casting {
 namespace {
 
 // The normal of a surface is known to some 2 degrees, and a mirror turns by twice that.
-const double kNearImage = std::cos(geometry::RadFromDeg(6.0));
+constexpr double kNearImage_rad = geometry::RadFromDeg(6.0);
 // As far as the LIDAR's points are apart.
 constexpr double kNearRay_rad = geometry::RadFromDeg(3.0);
 constexpr double kPatch_m = 0.3;         // of a surface, around the end of a ray,
 constexpr double kPatchPerRange = 0.08;  // wider far away
+constexpr int kPatches = 3;              // each twice as wide, until a plane shows
+constexpr double kLeastWidth_m = 0.1;    // of a plane: the points of one ring lie in any
 constexpr int kMostPoints = 48;          // of a patch that planes are laid through
 constexpr int kLeastPoints = 6;          // of a plane
 constexpr double kLeastShare = 0.4;      // of the patch: at an edge two planes share it
@@ -66,6 +68,7 @@ std::optional<Eigen::Vector3d> NormalOf(const std::vector<Eigen::Vector3f>& poin
   const Eigen::Vector3d mean = sum / in_plane;
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(squares / in_plane -
                                                             mean * mean.transpose());
+  if (axes.eigenvalues()[1] < kLeastWidth_m * kLeastWidth_m) return std::nullopt;
   return axes.eigenvectors().col(0);
 }
 
@@ -103,7 +106,20 @@ class View {
     while (cosine_[nearest] != cosine) ++nearest;
     const Eigen::Vector3f& end = points_[nearest];
     const double range_m = (end.cast<double>() - origin_).norm();
-    const double patch_m = std::max(kPatch_m, kPatchPerRange * range_m);
+    Surface surface{origin_ + range_m * direction, std::nullopt};
+    double patch_m = std::max(kPatch_m, kPatchPerRange * range_m);
+    for (int p = 0; p < kPatches && !surface.normal; ++p, patch_m *= 2.0) {
+      surface.normal = NormalOf(Patch(nearest, range_m, patch_m));
+    }
+    return surface;
+  }
+
+ private:
+  static constexpr Eigen::Index kGroup = 64;
+
+  // A point and those around it, which are near the last ray.
+  std::vector<Eigen::Vector3f> Patch(Eigen::Index centre, double range_m, double patch_m) const {
+    const Eigen::Vector3f& end = points_[centre];
     // A point that far from the end of the ray is seen within this angle of it.
     const double widest_rad = std::asin(std::min(1.0, patch_m / range_m)) + kNearRay_rad;
     const auto least = static_cast<float>(std::cos(widest_rad));
@@ -112,15 +128,13 @@ class View {
     for (Eigen::Index g = 0; g < largest_.size(); ++g) {
       if (largest_[g] < least) continue;
       for (Eigen::Index i = g * kGroup; i < g * kGroup + SizeOf(g); ++i) {
-        if (cosine_[i] < least || i == nearest) continue;
+        if (cosine_[i] < least || i == centre) continue;
         if ((points_[i] - end).squaredNorm() <= reach2) patch.push_back(points_[i]);
       }
     }
-    return Surface{origin_ + range_m * direction, NormalOf(patch)};
+    return patch;
   }
 
- private:
-  static constexpr Eigen::Index kGroup = 64;
   Eigen::Index SizeOf(Eigen::Index group) const {
     return std::min(kGroup, cosine_.size() - group * kGroup);
   }
@@ -141,6 +155,8 @@ void MarkReflections(const LidarView& lidar, const Eigen::Isometry3d& base_from_
   const Eigen::Isometry3d reference_from_array =
       lidar.reference_base_from_audio_base * base_from_array;
   const Eigen::Vector3d origin = reference_from_array.translation();
+  std::optional<Eigen::Vector3d> normal;
+  if (array_normal) normal = reference_from_array.linear() * *array_normal;
   View view(lidar.point_in_base, origin);
   std::vector<Eigen::Vector3d> emitters;  // what stronger peaks hear, or their images
   for (acoustics::Peak& peak : peaks) {
@@ -161,7 +177,9 @@ void MarkReflections(const LidarView& lidar, const Eigen::Isometry3d& base_from_
         // Both stand before the mirror.
         if (std::abs(height_m) < kOnSurface_m || height_m * array_height_m < 0.0) continue;
         const Eigen::Vector3d image = emitters[i] - 2.0 * height_m * *surface->normal;
-        if ((image - origin).normalized().dot(direction) < kNearImage) continue;
+        Eigen::Vector3d off = (image - origin).normalized() - direction;
+        if (normal) off -= normal->dot(off) * *normal;
+        if (off.norm() > kNearImage_rad) continue;
         peak.reflection = true;
         emitter = image;
         break;

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -31,9 +32,10 @@ TEST(AcousticsConfig, PaperKeepsItsWindowInSamplesAndDefaultInSeconds) {
     const FrameLayout layout = FrameLayout::Create(AcousticsConfig::Default(), rate_hz).value();
     EXPECT_EQ(layout.window_samples % 2, 0) << rate_hz;
     EXPECT_NEAR(layout.window_samples / static_cast<double>(rate_hz), 0.025, 1.0 / rate_hz);
-    EXPECT_NEAR(layout.bins, 76, 1) << rate_hz;
+    const double highest_hz = std::min(5000.0, rate_hz / 2.0);
+    EXPECT_NEAR(layout.bins, (highest_hz - 1000.0) * 0.025 + 1.0, 1.0) << rate_hz;
     EXPECT_GE(layout.bin_hz(0), 1000.0 - 1e-6);
-    EXPECT_LE(layout.bin_hz(layout.bins - 1), 4000.0 + 1e-6);
+    EXPECT_LE(layout.bin_hz(layout.bins - 1), highest_hz + 1e-6);
   }
 }
 
@@ -42,8 +44,12 @@ TEST(AcousticsConfig, NamesWhatIsWrong) {
     return std::string(FrameLayout::Create(config, rate_hz).status().message());
   };
   AcousticsConfig config;
-  config.f_max_hz = 9000.0;
+  config.f_max_hz = 900.0;
   EXPECT_NE(message(config).find("f_max_hz"), std::string::npos);
+  config = {};
+  config.f_min_hz = 4500.0;
+  EXPECT_EQ(message(config, 16000), "");
+  EXPECT_NE(message(config, 8000).find("f_min_hz, 4500 Hz, to 4000 Hz"), std::string::npos);
   config = {};
   config.f_min_hz = std::numeric_limits<double>::quiet_NaN();
   EXPECT_NE(message(config).find("f_min_hz"), std::string::npos);

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <random>
 
+#include "geometry/angles.h"
+
 namespace soundmap::ray_casting {
 namespace {
 
@@ -129,6 +131,41 @@ TEST_F(ReflectionsTest, AnArrayInAPlaneHearsBothSides) {
   const Eigen::Vector3d image = Image(source, 1, kMin.y());
   Hear(source);
   Hear(image - 2.0 * normal_in_base.dot(image) / normal_in_base.squaredNorm() * normal_in_base);
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, true}));
+}
+
+// Far away a LIDAR sees the floor in rings that are further apart than points are along them.
+TEST_F(ReflectionsTest, AFloorSeenInRingsIsAMirror) {
+  const double height_m = -kMin.z();
+  std::erase_if(points_, [](const Eigen::Vector3f& p) { return p.z() < kMin.z() + 0.1; });
+  std::mt19937 random(5);
+  std::normal_distribution<float> noise(0.0f, 0.015f);
+  for (double down_deg = 24.0; down_deg > 13.0; down_deg -= 2.75) {
+    const double far_m = height_m / std::tan(geometry::RadFromDeg(down_deg));
+    for (double azimuth_deg = 0.0; azimuth_deg < 360.0; azimuth_deg += 1.0) {
+      const double azimuth_rad = geometry::RadFromDeg(azimuth_deg);
+      const Eigen::Vector3d point(far_m * std::cos(azimuth_rad), far_m * std::sin(azimuth_rad),
+                                  kMin.z());
+      if ((point.array() < kMin.array()).any() || (point.array() > kMax.array()).any()) continue;
+      points_.push_back(point.cast<float>() + Eigen::Vector3f(0, 0, noise(random)));
+    }
+  }
+  const Eigen::Vector3d source(kMax.x(), 1.0, -0.5);
+  Hear(source);
+  Hear(Image(source, 2, kMin.z()));  // reflected 3.2 m away, between two rings
+  Hear({3.2, -2.0, kMin.z()});       // on the floor
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, true, false}));
+}
+
+// How far a direction is from its plane, such an array hardly tells where that is little.
+TEST_F(ReflectionsTest, AnArrayInAPlaneHearsWhereAnImageIsAlongItAlone) {
+  const Eigen::Vector3d source(kMax.x(), 1.0, 0.0);
+  const Eigen::Vector3d in_side = Image(source, 1, kMax.y());
+  const Eigen::Vector3d heard = in_side + 0.2 * in_side.norm() * Eigen::Vector3d::UnitZ();
+  Hear(source);
+  Hear(heard);
+  EXPECT_EQ(Marked(), (std::vector<bool>{false, false}));
+  array_normal_ = base_from_array_.inverse() * Eigen::Vector3d::UnitZ();
   EXPECT_EQ(Marked(), (std::vector<bool>{false, true}));
 }
 
