@@ -82,6 +82,10 @@ TEST_F(LiveRobotsTest, EpochsKeepTheirOrderOverARestart) {
   EXPECT_EQ(restarted.Open("r", old, kNow_ns + 100)->epoch, old);
   EXPECT_EQ(restarted.Open("r", young, kNow_ns + 100)->epoch, young);
   EXPECT_TRUE(absl::IsAborted(restarted.Open("r", old, kNow_ns + 100).status()));
+  // Nor may they come before one that is newer still.
+  LiveRobots once_more(&events_);
+  ASSERT_TRUE(once_more.Open("r", 0, kNow_ns + 100).ok());
+  EXPECT_TRUE(absl::IsAborted(once_more.Open("r", young, kNow_ns + 101).status()));
   // Nobody gave an epoch of the future: it is an agent that is new here.
   const auto invented = restarted.Open("r", std::int64_t{1} << 62, kNow_ns + 100);
   ASSERT_TRUE(invented.ok());
