@@ -88,6 +88,7 @@ absl::Status Session::Recover() {
       if (restored.ok()) {
         next_ = (*state)->offset;
         heard_ = listening_->heard();
+        odometry_frame_ = listening_->odometry_frame();
       } else if (!absl::IsDataLoss(restored)) {
         return restored;
       }
@@ -122,7 +123,6 @@ absl::Status Session::Recover() {
     const absl::Status committed = Commit();
     if (!committed.ok()) return committed;
   }
-  if (listening_) odometry_frame_ = listening_->odometry_frame();
   return finished_ ? Complete() : absl::OkStatus();
 }
 
