@@ -2,6 +2,7 @@
 
 #include <pthread.h>
 #include <signal.h>
+#include <time.h>
 
 #include <atomic>
 #include <chrono>
@@ -19,6 +20,7 @@
 #include "spool/spool.h"
 #include "uplink/channel.h"
 #include "uplink/drive_session.h"
+#include "uplink/live_link.h"
 #include "uplink/uploader.h"
 
 namespace soundmap {
@@ -30,6 +32,12 @@ using std::chrono::steady_clock;
 constexpr std::chrono::seconds kHold{30};
 constexpr std::chrono::hours kForEver{24 * 365 * 100};
 constexpr std::chrono::milliseconds kLook{200};
+
+std::int64_t NowNs(clockid_t clock) {
+  timespec now = {};
+  clock_gettime(clock, &now);
+  return std::int64_t{1'000'000'000} * now.tv_sec + now.tv_nsec;
+}
 
 void Say(const std::string& what) { std::fprintf(stderr, "soundmap-robot: %s\n", what.c_str()); }
 
@@ -43,6 +51,9 @@ class Agent {
   absl::Status Run() {
     auto channel = uplink::OpenChannel(server_);
     if (!channel.ok()) return channel.status();
+    std::unique_ptr<uplink::LiveLink> live;
+    if (config_.live) live = ShowLive();
+    live_ = live.get();
     std::thread recorder([this] {
       const absl::Status recorded = Record();
       std::lock_guard lock(mutex_);
@@ -64,10 +75,30 @@ class Agent {
   }
 
  private:
+  std::unique_ptr<uplink::LiveLink> ShowLive() const {
+    const v1::CreateSessionRequest request = uplink::SessionRequest(config_.session, *replay_);
+    uplink::LiveOptions options;
+    options.token = server_.token;
+    options.robot = request.robot();
+    options.session = absl::StrCat(request.site(), "/sessions/", request.session_id());
+    return std::make_unique<uplink::LiveLink>(
+        options, [this] { return *uplink::OpenChannel(server_, /*own_connection=*/true); },
+        uplink::RobotClocks{[] { return NowNs(CLOCK_BOOTTIME); },
+                            [] { return NowNs(CLOCK_REALTIME); }},
+        std::mt19937_64(std::random_device()()), Say);
+  }
+
   absl::Status Record() {
     const auto begun = spool_->Begin(uplink::SessionRequest(config_.session, *replay_));
     if (!begun.ok()) return begun.status();
-    if (begun->ended) return absl::OkStatus();
+    std::int64_t recorded = begun->position;
+    const auto show = [&](v1::DriveState state) {
+      if (live_ != nullptr) live_->SetDrive(state, recorded);
+    };
+    if (begun->ended) {
+      show(v1::DRIVE_STATE_RECORDED);
+      return absl::OkStatus();
+    }
     sources::SnappedSource source(replay_, config_.lidar_resolution_m);
     if (absl::Status found = source.Seek(begun->position); !found.ok()) return found;
     const auto start = steady_clock::now();
@@ -75,7 +106,10 @@ class Agent {
     while (true) {
       auto frame = source.Next();
       if (!frame.ok()) return frame.status();
-      if (!*frame) return spool_->End();
+      if (!*frame) {
+        show(v1::DRIVE_STATE_RECORDED);
+        return spool_->End();
+      }
       if (!start_ns) start_ns = (*frame)->log_time_ns;
       if (config_.speed > 0.0) {
         const double due_s =
@@ -87,7 +121,10 @@ class Agent {
                             [this] { return stopped_; });
         if (stopped_) return absl::CancelledError("stopped");
       }
+      if (live_ != nullptr) live_->Note(**frame);
       if (absl::Status kept = spool_->Append(**std::move(frame)); !kept.ok()) return kept;
+      ++recorded;
+      show(v1::DRIVE_STATE_RECORDING);
     }
   }
 
@@ -155,6 +192,7 @@ class Agent {
   const uplink::ServerOptions server_;
   spool::Spool* const spool_;
   sources::Replay* const replay_;
+  uplink::LiveLink* live_ = nullptr;  // while it runs, if it is wanted
 
   std::mutex mutex_;
   std::condition_variable changed_;
@@ -181,12 +219,8 @@ absl::Status RunAgent(const std::string& config_path) {
   if (!server.ok()) return server.status();
   const auto replay = sources::Replay::Open(config->drive);
   if (!replay.ok()) return replay.status();
-  const auto wall_clock_ns = [] {
-    return std::chrono::duration_cast<std::chrono::nanoseconds>(
-               std::chrono::system_clock::now().time_since_epoch())
-        .count();
-  };
-  const auto spool = spool::Spool::Open(config->spool_folder, config->spool, wall_clock_ns);
+  const auto spool =
+      spool::Spool::Open(config->spool_folder, config->spool, [] { return NowNs(CLOCK_REALTIME); });
   if (!spool.ok()) return spool.status();
   for (const std::string& warning : (*spool)->warnings()) Say("warning: " + warning);
 

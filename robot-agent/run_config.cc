@@ -135,6 +135,7 @@ absl::StatusOr<RunConfig> RunConfig::Read(const std::string& path) {
   config.spool.pause_when_full = when_full == "pause";
   keys.Number("spool", "max_hours", 0.01, 1e5, config.spool.max_hours);
   keys.Flag("uplink", "coded", config.coded);
+  keys.Flag("uplink", "live", config.live);
   if (absl::Status finished = keys.Finish(); !finished.ok()) return finished;
   if (absl::Status valid = config.spool.Validate(); !valid.ok()) {
     return absl::InvalidArgumentError(absl::StrCat(path, ": ", valid.message()));

@@ -18,6 +18,7 @@ struct RunConfig {
   double speed = 1.0;  // times real time; 0: as fast as the spool takes it
   double lidar_resolution_m = 0.001;
   bool coded = true;
+  bool live = true;  // shows what the robot does while its frames wait
 
   std::string spool_folder;
   spool::SpoolOptions spool;

@@ -88,6 +88,8 @@ std::string MetricsText(const pipeline::Meters& meters, const api::Access& acces
            MetricType::Gauge, static_cast<double>(meters.bytes_in_flight)),
        One("soundmap_streams", "Robots' streams that are open.", MetricType::Gauge,
            static_cast<double>(meters.streams)),
+       One("soundmap_live_streams", "Robots' live streams that are open.", MetricType::Gauge,
+           static_cast<double>(meters.live_streams)),
        One("soundmap_watches", "Watches that are open.", MetricType::Gauge,
            static_cast<double>(meters.watches)),
        One("process_cpu_seconds_total", "Processor time of the process.", MetricType::Counter,

@@ -97,6 +97,10 @@ const char* NameOf(SoundSourceEvent::Kind kind) {
 
 Json ToJson(const Vector3& vector) { return Json::array({vector.x, vector.y, vector.z}); }
 
+Json ToJson(const Pose2& pose) {
+  return {{"x_m", pose.x_m}, {"y_m", pose.y_m}, {"yaw_rad", pose.yaw_rad}};
+}
+
 Json ToJson(const Site& site) {
   return {{"id", site.id},
           {"profile", site.profile},
@@ -131,7 +135,8 @@ Json ToJson(const Session& session) {
           {"last_frame_time_ns", session.last_frame_time_ns},
           {"building_version", session.building_version},
           {"audio_scans", session.audio_scans},
-          {"gaps", std::move(gaps)}};
+          {"gaps", std::move(gaps)},
+          {"clock_offsets", ListToJson("offsets", session.clock_offsets)["offsets"]}};
 }
 
 Json ToJson(const PoseEstimate& pose) {
@@ -154,7 +159,36 @@ Json ToJson(const Robot& robot) {
           {"streaming", robot.streaming},
           {"last_seen_ns", robot.last_seen_ns},
           {"lost_frames", robot.lost_frames},
-          {"pose", robot.pose ? ToJson(*robot.pose) : Json(nullptr)}};
+          {"pose", robot.pose ? ToJson(*robot.pose) : Json(nullptr)},
+          {"live", robot.live ? ToJson(*robot.live) : Json(nullptr)},
+          {"clock_offset", robot.clock_offset ? ToJson(*robot.clock_offset) : Json(nullptr)}};
+}
+
+Json ToJson(const ClockOffset& offset) {
+  return {{"server_minus_robot_ns", offset.server_minus_robot_ns},
+          {"uncertainty_ns", offset.uncertainty_ns},
+          {"time_ns", offset.time_ns},
+          {"drift_ppm", offset.drift_ppm}};
+}
+
+Json ToJson(const LiveView& live) {
+  Json json = {{"session", live.session},
+               {"age_ns", live.age_ns},
+               {"recording", live.recording},
+               {"recorded_frames", live.recorded_frames},
+               {"odometry_time_ns", live.odometry_time_ns},
+               {"odom_from_base", live.odom_from_base ? ToJson(*live.odom_from_base) : Json()},
+               {"map_from_base", live.map_from_base ? ToJson(*live.map_from_base) : Json()},
+               {"localized_time_ns", live.localized_time_ns}};
+  if (live.laser) {
+    Json ranges = Json::array();
+    for (const float range_m : live.laser->range_m) ranges.push_back(ShortestDecimal(range_m));
+    json["laser"] = {{"time_ns", live.laser->time_ns},
+                     {"start_angle_rad", live.laser->start_angle_rad},
+                     {"angle_increment_rad", live.laser->angle_increment_rad},
+                     {"range_m", std::move(ranges)}};
+  }
+  return json;
 }
 
 Json ToJson(const Operation& operation) {
@@ -266,6 +300,12 @@ std::optional<Json> ToJson(const WatchEvent& event) {
     }
     std::optional<Json> operator()(const Robot& robot) const {
       return Json{{"event", "robot"}, {"robot", ToJson(robot)}};
+    }
+    std::optional<Json> operator()(const LiveRobot& robot) const {
+      Json json{{"event", "live_robot"}, {"robot", robot.robot}};
+      json["live"] = robot.live ? ToJson(*robot.live) : Json(nullptr);
+      if (robot.clock_offset) json["clock_offset"] = ToJson(*robot.clock_offset);
+      return json;
     }
     std::optional<Json> operator()(const AudioScan& scan) const {
       Json json{{"event", "audio_scan"}};

@@ -20,6 +20,8 @@ Json ToJson(const Vector3& vector);  // [x, y, z]
 Json ToJson(const Site& site);
 Json ToJson(const Session& session);
 Json ToJson(const Robot& robot);
+Json ToJson(const LiveView& live);
+Json ToJson(const ClockOffset& offset);
 Json ToJson(const Operation& operation);
 Json ToJson(const PoseEstimate& pose);
 Json ToJson(const SoundSource& source);

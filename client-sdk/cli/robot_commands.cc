@@ -24,6 +24,24 @@ struct RobotArguments {
   std::string format;
 };
 
+// "+3.214 +-0.402", as it was when it was measured.
+std::string OffsetText(const std::optional<ClockOffset>& offset) {
+  if (!offset) return "-";
+  return absl::StrFormat("%+.3f +-%.3f", 1e-6 * static_cast<double>(offset->server_minus_robot_ns),
+                         1e-6 * static_cast<double>(offset->uncertainty_ns));
+}
+
+std::string LiveText(const std::optional<LiveView>& live) {
+  if (!live) return "-";
+  std::string text = live->recording ? "recording" : "recorded";
+  if (live->map_from_base) {
+    const Pose2& p = *live->map_from_base;
+    absl::StrAppendFormat(&text, " at %.2f, %.2f, %.0f", p.x_m, p.y_m, p.yaw_rad * kDegPerRad);
+  }
+  absl::StrAppendFormat(&text, "; %.1f s ago", 1e-9 * static_cast<double>(live->age_ns));
+  return text;
+}
+
 absl::Status ListRobots(Client& client, const RobotArguments& arguments) {
   auto robots = client.ListRobots(arguments.site);
   if (!robots.ok()) return robots.status();
@@ -47,7 +65,9 @@ absl::Status ListRobots(Client& client, const RobotArguments& arguments) {
                {"Y [m]", kRight},
                {"YAW [deg]", kRight},
                {"LOST FRAMES", kRight},
-               {"LAST SEEN"}});
+               {"LAST SEEN"},
+               {"SERVER - ROBOT CLOCK [ms]", kRight},
+               {"LIVE [m, deg]"}});
   for (const Robot& robot : *robots) {
     std::vector<std::string> pose = {"-", "-", "-", "-"};
     if (robot.pose) {
@@ -56,7 +76,8 @@ absl::Status ListRobots(Client& client, const RobotArguments& arguments) {
               Fixed(p.yaw_rad * kDegPerRad, 1)};
     }
     table.Add({robot.id, robot.session, robot.streaming ? "yes" : "no", pose[0], pose[1], pose[2],
-               pose[3], absl::StrCat(robot.lost_frames), FormatTime(robot.last_seen_ns)});
+               pose[3], absl::StrCat(robot.lost_frames), FormatTime(robot.last_seen_ns),
+               OffsetText(robot.clock_offset), LiveText(robot.live)});
   }
   table.Print(std::cout);
   return absl::OkStatus();
@@ -121,6 +142,7 @@ absl::Status ListSessions(Client& client, const RobotArguments& arguments) {
                {"PROCESSED", kRight},
                {"SCANS", kRight},
                {"CREATED"},
+               {"SERVER - ROBOT CLOCK [ms]", kRight},
                {"REMARKS"}});
   for (const Session& session : *sessions) {
     std::string remarks = session.error_message;
@@ -131,10 +153,14 @@ absl::Status ListSessions(Client& client, const RobotArguments& arguments) {
       absl::StrAppend(&remarks, remarks.empty() ? "" : "; ", "lost ", gap.frames,
                       " frames before frame ", gap.offset, ": ", gap.reason);
     }
-    table.Add({session.id, session.robot, NameOf(session.purpose), NameOf(session.state),
-               absl::StrCat(session.received), absl::StrCat(session.durable),
-               absl::StrCat(session.processed), absl::StrCat(session.audio_scans),
-               FormatTime(session.create_time_ns), remarks});
+    table.Add(
+        {session.id, session.robot, NameOf(session.purpose), NameOf(session.state),
+         absl::StrCat(session.received), absl::StrCat(session.durable),
+         absl::StrCat(session.processed), absl::StrCat(session.audio_scans),
+         FormatTime(session.create_time_ns),
+         OffsetText(session.clock_offsets.empty() ? std::nullopt
+                                                  : std::optional(session.clock_offsets.back())),
+         remarks});
   }
   table.Print(std::cout);
   return absl::OkStatus();

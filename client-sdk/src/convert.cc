@@ -124,7 +124,41 @@ Site FromProto(const v1::Site& wire) {
           .max_range_m = wire.max_range_m()};
 }
 
+namespace {
+
+ClockOffset FromProto(const v1::ClockOffset& wire) {
+  return {.server_minus_robot_ns = wire.server_minus_robot_ns(),
+          .uncertainty_ns = wire.uncertainty_ns(),
+          .time_ns = wire.time_ns(),
+          .drift_ppm = wire.drift_ppm()};
+}
+
+LiveView FromProto(const v1::LiveView& wire) {
+  LiveView view{.session = IdIn(wire.session(), "sessions"),
+                .age_ns = wire.age_ns(),
+                .recording = wire.drive_state() == v1::DRIVE_STATE_RECORDING,
+                .recorded_frames = wire.recorded_frames(),
+                .odometry_time_ns = wire.odometry_time_ns(),
+                .localized_time_ns = wire.localized_time_ns()};
+  if (wire.has_odom_from_base()) view.odom_from_base = FromProto(wire.odom_from_base());
+  if (wire.has_map_from_base()) view.map_from_base = FromProto(wire.map_from_base());
+  if (wire.has_laser()) {
+    const v1::LaserView& laser = wire.laser();
+    view.laser = LaserView{laser.time_ns(),
+                           laser.start_angle_rad(),
+                           laser.angle_increment_rad(),
+                           {laser.range_m().begin(), laser.range_m().end()}};
+  }
+  return view;
+}
+
+}  // namespace
+
 Session FromProto(const v1::Session& wire) {
+  std::vector<ClockOffset> clock_offsets;
+  for (const v1::ClockOffset& offset : wire.clock_offsets()) {
+    clock_offsets.push_back(FromProto(offset));
+  }
   std::vector<FrameGap> gaps;
   for (const v1::FrameGap& gap : wire.gaps()) {
     gaps.push_back({gap.offset(), gap.frames(), gap.from_ns(), gap.to_ns(), gap.reason()});
@@ -144,7 +178,8 @@ Session FromProto(const v1::Session& wire) {
           .last_frame_time_ns = wire.last_frame_time_ns(),
           .building_version = wire.building_version(),
           .audio_scans = wire.audio_scans(),
-          .gaps = std::move(gaps)};
+          .gaps = std::move(gaps),
+          .clock_offsets = std::move(clock_offsets)};
 }
 
 Robot FromProto(const v1::Robot& wire) {
@@ -155,6 +190,8 @@ Robot FromProto(const v1::Robot& wire) {
               .last_seen_ns = wire.last_seen_ns(),
               .lost_frames = wire.lost_frames()};
   if (wire.has_pose()) robot.pose = FromProto(wire.pose());
+  if (wire.has_live()) robot.live = FromProto(wire.live());
+  if (wire.has_clock_offset()) robot.clock_offset = FromProto(wire.clock_offset());
   return robot;
 }
 
@@ -269,6 +306,14 @@ WatchEvent FromProto(const v1::WatchEvent& wire) {
     case v1::WatchEvent::kRobot:
       event.event = FromProto(wire.robot());
       break;
+    case v1::WatchEvent::kLiveRobot: {
+      const v1::LiveRobot& from = wire.live_robot();
+      LiveRobot live{.robot = IdIn(from.robot(), "robots")};
+      if (from.has_live()) live.live = FromProto(from.live());
+      if (from.has_clock_offset()) live.clock_offset = FromProto(from.clock_offset());
+      event.event = std::move(live);
+      break;
+    }
     case v1::WatchEvent::kAudioScan:
       event.event = FromProto(wire.audio_scan());
       break;

@@ -13,7 +13,8 @@ bool IsLoopback(const std::string& address) {
 
 }  // namespace
 
-absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const ServerOptions& options) {
+absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const ServerOptions& options,
+                                                           bool own_connection) {
   if (options.tls_cert_pem.empty() != options.tls_key_pem.empty() ||
       (!options.tls_cert_pem.empty() && options.tls_ca_pem.empty())) {
     return absl::InvalidArgumentError(
@@ -34,7 +35,8 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const ServerOptions& 
   grpc::ChannelArguments arguments;
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 20'000);
-  // The back-off is the uploader's.
+  if (own_connection) arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  // The back-off is the caller's.
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 50);
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 50);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 200);

@@ -17,9 +17,11 @@ struct ServerOptions {
   std::string tls_key_pem;
 };
 
-// A channel that finds out within 40 s that its peer is dead. It connects when it is first used.
+// A channel that finds out within 40 s that its peer is dead. It connects when it is first used;
+// channels to one server share a connection, but for those of their own.
 // InvalidArgument: the token would travel unencrypted, or the
 // certificate lacks its key or those to trust.
-absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const ServerOptions& options);
+absl::StatusOr<std::shared_ptr<grpc::Channel>> OpenChannel(const ServerOptions& options,
+                                                           bool own_connection = false);
 
 }  // namespace soundmap::uplink

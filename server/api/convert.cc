@@ -134,6 +134,9 @@ v1::Session ToProto(const pipeline::Session& session) {
     wire.set_to_ns(gap.to_ns);
     wire.set_reason(gap.reason);
   }
+  for (const pipeline::ClockOffset& offset : record.clock_offsets) {
+    *proto.add_clock_offsets() = ToProto(offset);
+  }
   return proto;
 }
 
@@ -141,11 +144,13 @@ v1::Robot ToProto(const pipeline::RobotInfo& robot) {
   v1::Robot proto;
   proto.set_name(RobotResource(robot.robot));
   proto.set_site(SiteResource(robot.site));
-  proto.set_session(SessionResource(robot.site, robot.session));
+  if (!robot.session.empty()) proto.set_session(SessionResource(robot.site, robot.session));
   proto.set_streaming(robot.streaming);
   if (robot.pose) *proto.mutable_pose() = ToProto(*robot.pose);
   proto.set_last_seen_ns(robot.last_seen_ns);
   proto.set_lost_frames(robot.lost_frames);
+  if (robot.live) *proto.mutable_live() = ToProto(robot.site, *robot.live);
+  if (robot.clock_offset) *proto.mutable_clock_offset() = ToProto(*robot.clock_offset);
   return proto;
 }
 

@@ -7,6 +7,7 @@
 #include "pipeline/operations.h"
 #include "pipeline/session.h"
 #include "pipeline/site.h"
+#include "soundmap/v1/live_service.pb.h"
 #include "soundmap/v1/operation_service.pb.h"
 #include "soundmap/v1/robot_service.pb.h"
 #include "soundmap/v1/session_service.pb.h"
@@ -24,6 +25,8 @@ v1::Calibration ToProto(const frames::Calibration& calibration);
 v1::Site ToProto(const pipeline::Site& site);
 v1::Session ToProto(const pipeline::Session& session);
 v1::Robot ToProto(const pipeline::RobotInfo& robot);
+v1::ClockOffset ToProto(const pipeline::ClockOffset& offset);
+v1::LiveView ToProto(const std::string& site, const pipeline::LiveView& view);
 std::string SourceId(std::uint64_t id);  // as it stands in a sound source's name
 // Capture times start_ns <= t < end_ns.
 struct TimeWindow {
@@ -47,5 +50,8 @@ v1::Operation ToProto(const pipeline::OperationInfo& operation);
 // identity.
 absl::StatusOr<geometry::Pose2> FromProto(const v1::Pose2& pose);
 absl::StatusOr<frames::Calibration> FromProto(const v1::Calibration& calibration);
+// InvalidArgument: a number that is not finite or out of its range, too many beams. `now_ns`: on
+// the server's clock.
+absl::StatusOr<pipeline::LiveReport> FromProto(const v1::LiveReport& report, std::int64_t now_ns);
 
 }  // namespace soundmap::api

@@ -1,6 +1,7 @@
 #include "api/robot_service.h"
 
 #include <map>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "api/convert.h"
@@ -11,14 +12,17 @@
 namespace soundmap::api {
 namespace {
 
-// Every robot once, where it was last seen at the sites of the grant, by name.
+// Every robot once, where it is live or was last seen at the sites of the grant, by name.
 std::vector<pipeline::RobotInfo> AllRobots(const pipeline::Sites& sites, const Grant& grant) {
   std::map<std::string, pipeline::RobotInfo> newest;
   for (const auto& site : sites.List()) {
     if (!grant.Reaches(site->record().site)) continue;
     for (pipeline::RobotInfo& robot : site->Robots()) {
       pipeline::RobotInfo& known = newest[robot.robot];
-      if (known.robot.empty() || robot.last_seen_ns > known.last_seen_ns) known = std::move(robot);
+      const auto order = [](const pipeline::RobotInfo& info) {
+        return std::pair(info.live.has_value(), info.last_seen_ns);
+      };
+      if (known.robot.empty() || order(robot) > order(known)) known = std::move(robot);
     }
   }
   std::vector<pipeline::RobotInfo> robots;

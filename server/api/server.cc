@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "api/backup_service.h"
 #include "api/ingest_service.h"
+#include "api/live_service.h"
 #include "api/map_service.h"
 #include "api/operation_service.h"
 #include "api/robot_service.h"
@@ -32,6 +33,7 @@ class GrpcServer : public Server {
       : sites_(parts.sites, parts.access),
         sessions_(parts.sites, parts.access, parts.store, parts.now_ns),
         ingest_(parts.sites, parts.access, parts.executor),
+        live_(parts.sites, parts.access, parts.executor, parts.now_ns),
         robots_(parts.sites, parts.access),
         sound_map_(parts.sites, parts.access, parts.store),
         maps_(parts.sites, parts.access, parts.operations),
@@ -61,8 +63,8 @@ class GrpcServer : public Server {
     builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_GZIP, false);
     builder.SetCompressionAlgorithmSupportStatus(GRPC_COMPRESS_DEFLATE, false);
     for (grpc::Service* service : std::initializer_list<grpc::Service*>{
-             &sites_, &sessions_, &ingest_, &robots_, &sound_map_, &maps_, &operations_, &backups_,
-             &tuning_, &watches_}) {
+             &sites_, &sessions_, &ingest_, &live_, &robots_, &sound_map_, &maps_, &operations_,
+             &backups_, &tuning_, &watches_}) {
       builder.RegisterService(service);
     }
     server_ = builder.BuildAndStart();
@@ -80,6 +82,7 @@ class GrpcServer : public Server {
   void Shutdown() override {
     server_->GetHealthCheckService()->SetServingStatus(false);
     ingest_.Drain();
+    live_.Drain();
     server_->Shutdown(std::chrono::system_clock::now() + kDrainTime);
     server_->Wait();
   }
@@ -88,6 +91,7 @@ class GrpcServer : public Server {
   SiteService sites_;
   SessionService sessions_;
   IngestService ingest_;
+  LiveService live_;
   RobotService robots_;
   SoundMapService sound_map_;
   MapService maps_;

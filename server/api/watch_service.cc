@@ -12,6 +12,7 @@
 #include "absl/strings/strip.h"
 #include "api/convert.h"
 #include "api/find.h"
+#include "api/resource_names.h"
 #include "api/status.h"
 
 namespace soundmap::api {
@@ -112,6 +113,15 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
     } else if (const auto* scan = std::get_if<pipeline::AudioScanInfo>(&event)) {
       if (!wants_all_ && !wants_scans_) return;
       *proto.mutable_audio_scan() = ToProto(site_name_, *scan);
+    } else if (const auto* changed = std::get_if<pipeline::LiveChanged>(&event)) {
+      if (!wants_all_ && !wants_robots_) return;
+      v1::LiveRobot& live = *proto.mutable_live_robot();
+      live.set_robot(RobotResource(changed->robot));
+      if (const auto view = site_->live().Find(changed->robot)) {
+        *live.mutable_live() = ToProto(site_name_, *view);
+        const auto& offset = view->report.clock_offset;
+        if (offset) *live.mutable_clock_offset() = ToProto(*offset);
+      }
     }
     queue_.push_back(std::move(proto));
   }

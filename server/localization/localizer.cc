@@ -394,6 +394,14 @@ std::optional<PoseEstimate> Localizer::At(frames::TimeNs time_ns) const {
   return estimate;
 }
 
+std::optional<OdometryFrame> Localizer::odometry_frame() const {
+  if (!memory_.raw_odometry) return std::nullopt;
+  const frames::Odometry& odometry = *memory_.raw_odometry;
+  const std::optional<PoseEstimate> now = At(odometry.stamp_ns);
+  if (!now || now->state == State::kLost) return std::nullopt;
+  return OdometryFrame{odometry.stamp_ns, now->map_from_base * odometry.odom_from_base.Inverse()};
+}
+
 std::vector<PoseEstimate> Localizer::Path(frames::TimeNs begin_ns, frames::TimeNs end_ns) const {
   std::vector<PoseEstimate> path;
   for (const Correction& correction : history_.corrections()) {

@@ -128,6 +128,9 @@ class Localizer {
   // correction, outside the odometry, and before what is kept.
   std::optional<PoseEstimate> At(frames::TimeNs time_ns) const;
 
+  // At the newest odometry. None before the first correction and while lost.
+  std::optional<OdometryFrame> odometry_frame() const;
+
   // The corrections in begin .. end, oldest first: after a recovery, where the robot was.
   std::vector<PoseEstimate> Path(frames::TimeNs begin_ns, frames::TimeNs end_ns) const;
 

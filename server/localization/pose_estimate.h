@@ -19,4 +19,11 @@ struct PoseEstimate {
   State state = State::kUncertain;
 };
 
+// Where the frame of a robot's odometry, as the robot sends it, lay in the map at `stamp_ns`: until
+// the next correction it carries later odometry into the map.
+struct OdometryFrame {
+  frames::TimeNs stamp_ns = 0;
+  geometry::Pose2 map_from_odom;
+};
+
 }  // namespace soundmap::localization

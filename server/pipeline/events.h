@@ -12,6 +12,7 @@
 
 #include "acoustics/likelihood_scan.h"
 #include "localization/pose_estimate.h"
+#include "pipeline/live_robots.h"
 #include "sound_map/source_register.h"
 
 namespace soundmap::pipeline {
@@ -28,7 +29,7 @@ struct AudioScanInfo {
   std::vector<sound_map::HeardPeak> heard;
 };
 
-// A robot that has had a session here.
+// A robot that has had a session here, or reports live.
 struct RobotInfo {
   std::string robot;
   std::string site;
@@ -37,6 +38,13 @@ struct RobotInfo {
   std::optional<localization::PoseEstimate> pose;
   frames::TimeNs last_seen_ns = 0;  // capture time of its newest processed frame
   std::int64_t lost_frames = 0;     // in that session, before they could be sent
+  std::optional<LiveView> live;
+  std::optional<ClockOffset> clock_offset;
+};
+
+// LiveRobots has something newer of this one, or nothing more.
+struct LiveChanged {
+  std::string robot;
 };
 
 struct SourceRemoved {
@@ -44,7 +52,7 @@ struct SourceRemoved {
 };
 
 using Event = std::variant<sound_map::RegisteredSource, SourceRemoved, sound_map::SourceEvent,
-                           RobotInfo, AudioScanInfo>;
+                           RobotInfo, AudioScanInfo, LiveChanged>;
 
 // What happened at one site, newest last: a ring of bounded length, so that a slow reader can fall
 // out of it but never holds anybody up. Thread safe.

@@ -266,6 +266,10 @@ bool Listening::waits() const {
 
 std::int64_t Listening::heard() const { return state_->heard; }
 
+std::optional<localization::OdometryFrame> Listening::odometry_frame() const {
+  return state_->localizer.odometry_frame();
+}
+
 void Listening::Finish(Output& output) {
   if (waits()) {
     state_->counters.unheard_ns =

@@ -70,6 +70,8 @@ class Listening {
   void Hear(const frames::Frame& frame, Output& output) { Hear(frames::Frame(frame), output); }
   // Whether the next frame to hear must wait until the robot knows where it was.
   bool waits() const;
+  // None while the robot does not know where it is.
+  std::optional<localization::OdometryFrame> odometry_frame() const;
   // The frames that Hear() was given since the start of the drive.
   std::int64_t heard() const;
   // The drive is over: what waits for later frames does without them, what waits for the robot to

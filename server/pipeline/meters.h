@@ -44,6 +44,7 @@ struct Meters {
   LagHistogram durable_lag;                       // from a frame's arrival to the disk
   std::atomic<std::int64_t> bytes_in_flight = 0;  // of frames that wait for the disk or the map
   std::atomic<std::int64_t> streams = 0;          // of robots, open now
+  std::atomic<std::int64_t> live_streams = 0;     // of robots, open now
   std::atomic<std::int64_t> watches = 0;          // open now
 };
 

@@ -1,5 +1,7 @@
 #include "pipeline/records.h"
 
+#include <cmath>
+#include <cstdlib>
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/str_cat.h"
@@ -8,6 +10,8 @@ namespace soundmap::pipeline {
 namespace {
 
 using Json = nlohmann::json;
+
+constexpr std::size_t kMaxClockOffsets = 32;
 
 Json JsonFrom(const Eigen::Vector3d& v) { return {v.x(), v.y(), v.z()}; }
 
@@ -69,10 +73,35 @@ absl::StatusOr<Record> Read(const std::string& text, const char* what,
 
 }  // namespace
 
+std::int64_t ClockOffset::UncertaintyAt(frames::TimeNs at_ns) const {
+  const double age_ns = std::abs(static_cast<double>(at_ns) - static_cast<double>(time_ns));
+  return uncertainty_ns + static_cast<std::int64_t>(std::ceil(1e-6 * drift_ppm * age_ns));
+}
+
+bool SessionRecord::Take(const ClockOffset& newest) {
+  bool jumped = false;
+  if (!clock_offsets.empty()) {
+    const ClockOffset& last = clock_offsets.back();
+    jumped = std::abs(newest.server_minus_robot_ns - last.server_minus_robot_ns) >
+             last.UncertaintyAt(newest.time_ns) + newest.uncertainty_ns;
+  }
+  if (clock_offsets.empty() || (jumped && clock_offsets.size() < kMaxClockOffsets)) {
+    clock_offsets.push_back(newest);
+  } else {
+    clock_offsets.back() = newest;
+  }
+  return jumped;
+}
+
 std::int64_t SessionRecord::lost_frames() const {
   std::int64_t frames = 0;
   for (const Gap& gap : gaps) frames += gap.frames;
   return frames;
+}
+
+std::optional<ClockOffset> SessionRecord::newest_offset() const {
+  if (clock_offsets.empty()) return std::nullopt;
+  return clock_offsets.back();
 }
 
 std::string ToJson(const SiteRecord& record) {
@@ -113,6 +142,12 @@ std::string ToJson(const SessionRecord& record) {
                             {"from_ns", gap.from_ns},
                             {"to_ns", gap.to_ns},
                             {"reason", gap.reason}});
+  }
+  for (const ClockOffset& offset : record.clock_offsets) {
+    json["clock_offsets"].push_back({{"server_minus_robot_ns", offset.server_minus_robot_ns},
+                                     {"uncertainty_ns", offset.uncertainty_ns},
+                                     {"time_ns", offset.time_ns},
+                                     {"drift_ppm", offset.drift_ppm}});
   }
   return json.dump();
 }
@@ -155,6 +190,11 @@ absl::StatusOr<SessionRecord> SessionRecordFromJson(const std::string& text) {
     for (const Json& gap : json.value("gaps", Json::array())) {
       record.gaps.push_back({gap.at("offset"), gap.at("frames"), gap.at("from_ns"), gap.at("to_ns"),
                              gap.at("reason")});
+    }
+    for (const Json& offset : json.value("clock_offsets", Json::array())) {
+      record.clock_offsets.push_back({offset.at("server_minus_robot_ns"),
+                                      offset.at("uncertainty_ns"), offset.at("time_ns"),
+                                      offset.at("drift_ppm")});
     }
     return record;
   });

@@ -37,6 +37,17 @@ struct Gap {
   bool operator==(const Gap&) const = default;
 };
 
+// By how much the server's clock differs from the robot's, which frames' times are of.
+struct ClockOffset {
+  std::int64_t server_minus_robot_ns = 0;
+  std::int64_t uncertainty_ns = 0;  // at time_ns the offset is off by no more
+  frames::TimeNs time_ns = 0;       // server's clock
+  double drift_ppm = 0.0;           // by which the uncertainty grows later
+
+  std::int64_t UncertaintyAt(frames::TimeNs at_ns) const;
+  bool operator==(const ClockOffset&) const = default;
+};
+
 // What the store keeps of a session, as JSON.
 struct SessionRecord {
   std::string site;
@@ -50,6 +61,7 @@ struct SessionRecord {
   std::int64_t create_time_ns = 0;
   std::int64_t building_version = 0;  // that the robot is localized in
   std::vector<Gap> gaps;              // in order
+  std::vector<ClockOffset> clock_offsets;
   bool complete = false;
   // Final figures, once complete.
   std::int64_t frame_count = 0;
@@ -58,6 +70,10 @@ struct SessionRecord {
   std::int64_t audio_scans = 0;
 
   std::int64_t lost_frames() const;
+  std::optional<ClockOffset> newest_offset() const;
+  // The newest takes the place of the one before, unless a clock has jumped in between: they differ
+  // by more than they can be off. Keeps 32; what comes later replaces the last. Whether one jumped.
+  bool Take(const ClockOffset& newest);
 };
 
 std::string ToJson(const SiteRecord& record);

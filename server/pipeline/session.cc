@@ -19,6 +19,8 @@ constexpr int kBatchFrames = 64;
 constexpr std::int64_t kBatchBytes = 2 << 20;
 
 constexpr frames::TimeNs kSnapshotInterval_ns = 10'000'000'000;
+constexpr std::int64_t kOffsetInterval_ns = 10'000'000'000;
+constexpr std::int64_t kMinOffsetInterval_ns = 1'000'000'000;
 constexpr std::chrono::milliseconds kCommitRetry(500);
 // Of a session; what is lost later counts for the last one.
 constexpr std::size_t kMaxGaps = 1000;
@@ -86,6 +88,7 @@ absl::Status Session::Recover() {
       if (restored.ok()) {
         next_ = (*state)->offset;
         heard_ = listening_->heard();
+        odometry_frame_ = listening_->odometry_frame();
       } else if (!absl::IsDataLoss(restored)) {
         return restored;
       }
@@ -166,6 +169,11 @@ Watermarks Session::watermarks() const {
 std::optional<localization::PoseEstimate> Session::newest_pose() const {
   std::lock_guard lock(mutex_);
   return newest_pose_;
+}
+
+std::optional<localization::OdometryFrame> Session::odometry_frame() const {
+  std::lock_guard lock(mutex_);
+  return odometry_frame_;
 }
 
 std::int64_t Session::bytes_in_flight() const {
@@ -278,6 +286,21 @@ absl::Status Session::Finish(std::int64_t epoch, std::int64_t frame_count) {
   ++received_;
   ended_ = true;
   return absl::OkStatus();
+}
+
+void Session::TakeClockOffset(const ClockOffset& offset) {
+  std::lock_guard lock(mutex_);
+  if (record_.complete || stopping_) return;
+  const bool jumped = record_.Take(offset);
+  if (stored_offset_) {
+    const std::int64_t since_ns = std::abs(offset.time_ns - stored_offset_->time_ns);
+    if (since_ns < (jumped ? kMinOffsetInterval_ns : kOffsetInterval_ns)) return;
+  }
+  stored_offset_ = offset;
+  boost::asio::post(strand_, [self = shared_from_this()] {
+    self->record_changed_ = true;
+    self->StoreRecord().IgnoreError();  // the next commit tries again
+  });
 }
 
 void Session::OnDurable(const absl::StatusOr<std::int64_t>& durable) {
@@ -467,15 +490,18 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
   }
 }
 
+absl::Status Session::StoreRecord() {
+  if (!record_changed_) return absl::OkStatus();
+  std::lock_guard lock(mutex_);  // no older record takes the place of NextEpoch()'s
+  const absl::Status stored = site_.store->PutRecord(
+      storage::Table::kSession, absl::StrCat(commit_.site, "/", commit_.session), ToJson(record_));
+  if (stored.ok()) record_changed_ = false;
+  return stored;
+}
+
 absl::Status Session::Commit() {
-  if (record_changed_) {
-    std::lock_guard lock(mutex_);  // no older record takes the place of NextEpoch()'s
-    const absl::Status stored =
-        site_.store->PutRecord(storage::Table::kSession,
-                               absl::StrCat(commit_.site, "/", commit_.session), ToJson(record_));
-    if (!stored.ok()) return stored;
-    record_changed_ = false;
-  }
+  const absl::Status record_stored = StoreRecord();
+  if (!record_stored.ok()) return record_stored;
   if (commit_.processed_offset != next_ || commit_.heard_offset != heard_) {
     commit_.processed_offset = next_;
     commit_.heard_offset = heard_;
@@ -502,10 +528,13 @@ absl::Status Session::Commit() {
   batch_bytes_ = 0;
   if (record_.first_frame_ns == 0) record_.first_frame_ns = batch_first_ns_;
   record_.last_frame_ns = std::max(record_.last_frame_ns, batch_last_ns_);
-  if (listening_) record_.audio_scans = listening_->counters().audio_scans;
-  site_.region->events().Publish(RobotInfo{record_.robot, record_.site, record_.session,
-                                           stream_epoch_ != 0, newest_pose_, record_.last_frame_ns,
-                                           record_.lost_frames()});
+  if (listening_) {
+    record_.audio_scans = listening_->counters().audio_scans;
+    odometry_frame_ = listening_->odometry_frame();
+  }
+  site_.region->events().Publish(RobotInfo{
+      record_.robot, record_.site, record_.session, stream_epoch_ != 0, newest_pose_,
+      record_.last_frame_ns, record_.lost_frames(), std::nullopt, record_.newest_offset()});
   Wake();
   return absl::OkStatus();
 }

@@ -56,9 +56,12 @@ class Session : public std::enable_shared_from_this<Session> {
   static absl::StatusOr<std::shared_ptr<Session>> Open(SessionRecord record, Site site);
 
   SessionRecord record() const;
+  const std::string& robot() const { return robot_; }
   Watermarks watermarks() const;
   // The newest estimate of where the robot is; none while mapping or before the first correction.
   std::optional<localization::PoseEstimate> newest_pose() const;
+  // By the newest frames that had their effect; none while the robot does not know where it is.
+  std::optional<localization::OdometryFrame> odometry_frame() const;
   // Payload bytes that were received and not yet processed.
   std::int64_t bytes_in_flight() const;
   // An unrecoverable fault (damage to the log); OK otherwise.
@@ -83,6 +86,10 @@ class Session : public std::enable_shared_from_this<Session> {
 
   // The drive has `frame_count` frames. FailedPrecondition: it has others.
   absl::Status Finish(std::int64_t epoch, std::int64_t frame_count);
+
+  // The newest is known at once; it is stored when a clock has jumped or 10 s are over, but not
+  // twice in a second. Nothing changes once the session is complete.
+  void TakeClockOffset(const ClockOffset& offset);
 
   // The log's frames before `durable` are on disk; or why they are not.
   void OnDurable(const absl::StatusOr<std::int64_t>& durable);
@@ -126,6 +133,7 @@ class Session : public std::enable_shared_from_this<Session> {
   void Hear(Item item, Listening::Output& output);
   void Keep(const Gap& gap);
   void TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans);
+  absl::Status StoreRecord();
   absl::Status Commit();
   absl::Status Complete();
   void CommitAndGoOn();
@@ -145,10 +153,12 @@ class Session : public std::enable_shared_from_this<Session> {
   std::int64_t processed_ = 0;
   std::int64_t bytes_in_flight_ = 0;
   std::optional<localization::PoseEstimate> newest_pose_;
-  bool ended_ = false;             // the log has the end of the drive
-  absl::Status fault_;             // for good
-  absl::Status storage_trouble_;   // a full disk: the stream ends, and may come again
-  std::int64_t stream_epoch_ = 0;  // 0: none is attached
+  std::optional<localization::OdometryFrame> odometry_frame_;
+  std::optional<ClockOffset> stored_offset_;  // the newest that was to be stored
+  bool ended_ = false;                        // the log has the end of the drive
+  absl::Status fault_;                        // for good
+  absl::Status storage_trouble_;              // a full disk: the stream ends, and may come again
+  std::int64_t stream_epoch_ = 0;             // 0: none is attached
   std::function<void()> wake_;
   bool scheduled_ = false;
   bool stopping_ = false;
@@ -169,7 +179,7 @@ class Session : public std::enable_shared_from_this<Session> {
   frames::TimeNs batch_last_ns_ = 0;
   frames::TimeNs snapshot_ns_ = 0;  // frame time of the last state snapshot
   bool finished_ = false;
-  bool record_changed_ = false;  // and is not stored
+  bool record_changed_ = false;  // by the strand, and is not stored
   boost::asio::steady_timer retry_;
 };
 

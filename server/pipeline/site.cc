@@ -49,6 +49,7 @@ absl::StatusOr<std::shared_ptr<Site>> Site::Open(SiteRecord record, storage::Sto
   auto region = Region::Open(name, store, site->profile_.sound_map);
   if (!region.ok()) return region.status();
   site->region_ = *std::move(region);
+  site->live_ = std::make_unique<LiveRobots>(&site->region_->events());
   if (site->record_.building_version > 0) {
     auto building = site->LoadBuilding(site->record_.building_version);
     if (!building.ok()) return building.status();
@@ -332,6 +333,25 @@ absl::StatusOr<std::string> Site::TryParameters(const TrialRequest& request,
   return absl::StrCat("{\"trials\":[", absl::StrJoin(trials, ","), "]}");
 }
 
+absl::Status Site::TakeLiveReport(const std::string& robot, const std::string& session,
+                                  const LiveRobots::Lease& lease, LiveReport report) {
+  const std::shared_ptr<Session> drive = FindSession(session);
+  if (drive && drive->robot() != robot) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("session '", session, "' is of robot '", drive->robot(), "'"));
+  }
+  const std::optional<ClockOffset> clock_offset = report.clock_offset;
+  LiveView view{session, std::move(report), std::chrono::steady_clock::now(), std::nullopt, 0};
+  const auto frame = drive ? drive->odometry_frame() : std::nullopt;
+  if (frame && view.report.odometry) {
+    view.map_from_base = frame->map_from_odom * view.report.odometry->odom_from_base;
+    view.localized_ns = frame->stamp_ns;
+  }
+  const absl::Status reported = live_->Report(robot, lease, std::move(view));
+  if (reported.ok() && drive && clock_offset) drive->TakeClockOffset(*clock_offset);
+  return reported;
+}
+
 std::vector<RobotInfo> Site::Robots() const {
   std::map<std::string, RobotInfo> robots;
   for (const std::shared_ptr<Session>& session : Sessions()) {
@@ -345,6 +365,15 @@ std::vector<RobotInfo> Site::Robots() const {
     robot.last_seen_ns = record.last_frame_ns;
     robot.pose = session->newest_pose();
     robot.lost_frames = record.lost_frames();
+    robot.clock_offset = record.newest_offset();
+  }
+  const std::string site = record().site;
+  for (auto& [name, view] : live_->List()) {
+    RobotInfo& robot = robots[name];
+    robot.robot = name;
+    robot.site = site;
+    if (view.report.clock_offset) robot.clock_offset = view.report.clock_offset;
+    robot.live = std::move(view);
   }
   std::vector<RobotInfo> list;
   list.reserve(robots.size());

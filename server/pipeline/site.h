@@ -9,6 +9,7 @@
 #include "absl/status/statusor.h"
 #include "building/building.h"
 #include "mapping/mapper.h"
+#include "pipeline/live_robots.h"
 #include "pipeline/operations.h"
 #include "pipeline/prepared_building.h"
 #include "pipeline/profile.h"
@@ -84,7 +85,13 @@ class Site : public std::enable_shared_from_this<Site> {
   // not arrived in full.
   absl::StatusOr<std::string> TryParameters(const TrialRequest& request, OperationContext& context);
 
-  // The newest known state of every robot that has had a session here, by name.
+  // Takes a robot's report of the drive `session`, which need not be here yet. Aborted: a later
+  // stream has been opened. InvalidArgument: the session is of another robot.
+  absl::Status TakeLiveReport(const std::string& robot, const std::string& session,
+                              const LiveRobots::Lease& lease, LiveReport report);
+  LiveRobots& live() { return *live_; }
+
+  // The newest known state of every robot that has had a session here or reports live, by name.
   std::vector<RobotInfo> Robots() const;
 
   // Stops the sessions; with `checkpoint`, writes one.
@@ -110,6 +117,7 @@ class Site : public std::enable_shared_from_this<Site> {
   const boost::asio::any_io_executor executor_;
   Meters* const meters_;
   std::unique_ptr<Region> region_;
+  std::unique_ptr<LiveRobots> live_;
 
   mutable std::mutex mutex_;
   SiteRecord record_;                                   // guarded by mutex_

@@ -25,6 +25,7 @@
 #include "pipeline/profile.h"
 #include "pipeline/sites.h"
 #include "soundmap/v1/ingest_service.grpc.pb.h"
+#include "soundmap/v1/live_service.pb.h"
 #include "soundmap/v1/map_service.grpc.pb.h"
 #include "soundmap/v1/session_service.grpc.pb.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
@@ -352,6 +353,23 @@ TEST_F(SecurityTest, ARobotStreamsAsItselfAtItsSites) {
   EXPECT_EQ(Open(Channel(), "a-read", own).error_code(), grpc::StatusCode::PERMISSION_DENIED);
   EXPECT_EQ(Open(Channel(), "", own).error_code(), grpc::StatusCode::UNAUTHENTICATED);
   EXPECT_TRUE(Open(Channel(), "r1-token", own).ok());
+  // Its live view, too.
+  const auto live = [](const auto& channel, const std::string& token, const std::string& site,
+                       const std::string& robot) {
+    v1::LiveRequest request;
+    request.mutable_open()->set_robot("robots/" + robot);
+    request.mutable_open()->set_session(absl::StrCat("sites/", site, "/sessions/drive"));
+    return Call(channel, "/soundmap.v1.LiveService/Live", request.SerializeAsString(), token)
+        .error_code();
+  };
+  EXPECT_EQ(live(r1, "", "a", "r1"), grpc::StatusCode::OK);
+  EXPECT_EQ(live(r1, "", "a", "r2"), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_EQ(live(r1, "", "b", "r1"), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_EQ(live(r1, "", "nowhere", "r1"), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_EQ(live(Channel(), "r1-token", "a", "r1"), grpc::StatusCode::OK);
+  EXPECT_EQ(live(Channel(), "r1-token", "a", "r2"), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_EQ(live(Channel(), "a-read", "a", "r1"), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_EQ(live(Channel(), "", "a", "r1"), grpc::StatusCode::UNAUTHENTICATED);
   // It sees its sites and makes none.
   std::vector<std::string> names;
   EXPECT_TRUE(ListSites(r2, "", &names).ok());

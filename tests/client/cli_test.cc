@@ -10,10 +10,12 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <numbers>
 
 #include "fake_server.h"
 #include "recording/foxglove_messages.h"
 #include "recording/writer.h"
+#include "soundmap/resources.h"
 
 extern char** environ;
 
@@ -21,6 +23,7 @@ namespace soundmap {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::AllOf;
 using ::testing::ElementsAre;
 using testing::FakeServer;
 using testing::FakeState;
@@ -475,6 +478,63 @@ TEST_F(CliTest, PrintsThePathOfTheNewestSession) {
   EXPECT_EQ(Run({"robots", "hall", "--path", "--format", "tum", "--session", "new"}).out,
             "# timestamp x y z qx qy qz qw\n"
             "1000.250000000 1.500000 -2.000000 0 0 0 0.000000000 1.000000000\n");
+}
+
+TEST_F(CliTest, TellsWhereARobotIsLiveAndHowFarItsClockIsOff) {
+  v1::ClockOffset offset;
+  offset.set_server_minus_robot_ns(-3'214'400);
+  offset.set_uncertainty_ns(402'000);
+  offset.set_time_ns(9);
+  offset.set_drift_ppm(100.0);
+  v1::LiveView live;
+  live.set_session("sites/hall/sessions/s2");
+  live.set_age_ns(250'000'000);
+  live.set_drive_state(v1::DRIVE_STATE_RECORDING);
+  live.set_recorded_frames(70);
+  live.set_odometry_time_ns(8);
+  live.mutable_odom_from_base()->set_x_m(1.0);
+  live.mutable_map_from_base()->set_x_m(8.214);
+  live.mutable_map_from_base()->set_yaw_rad(std::numbers::pi / 2.0);
+  live.set_localized_time_ns(7);
+  live.mutable_laser()->add_range_m(0.1f);
+  v1::Robot robot;
+  robot.set_name("robots/r1");
+  robot.set_site("sites/hall");
+  *robot.mutable_live() = live;
+  *robot.mutable_clock_offset() = offset;
+  state().robots = {robot};
+  const Result table = Run({"robots", "hall"});
+  EXPECT_THAT(table.out, AllOf(HasSubstr("-3.214 +-0.402"),
+                               HasSubstr("recording at 8.21, 0.00, 90; 0.2 s ago")));
+  const std::string live_json =
+      R"({"session":"s2","age_ns":250000000,"recording":true,"recorded_frames":70,)"
+      R"("odometry_time_ns":8,"odom_from_base":{"x_m":1.0,"y_m":0.0,"yaw_rad":0.0},)"
+      R"("map_from_base":{"x_m":8.214,"y_m":0.0,"yaw_rad":1.5707963267948966},)"
+      R"("localized_time_ns":7,"laser":{"time_ns":0,"start_angle_rad":0.0,)"
+      R"("angle_increment_rad":0.0,"range_m":[0.1]}})";
+  const std::string offset_json =
+      R"({"server_minus_robot_ns":-3214400,"uncertainty_ns":402000,"time_ns":9,)"
+      R"("drift_ppm":100.0})";
+  EXPECT_THAT(Run({"robots", "hall", "--format", "json"}).out,
+              AllOf(HasSubstr("\"live\":" + live_json), HasSubstr(offset_json)));
+  v1::Session session = ListeningSession("s", 1);
+  *session.add_clock_offsets() = offset;
+  state().sessions = {session};
+  EXPECT_THAT(Run({"sessions", "hall"}).out, HasSubstr("-3.214 +-0.402"));
+  EXPECT_THAT(Run({"sessions", "hall", "--format", "json"}).out,
+              HasSubstr("\"clock_offsets\":[" + offset_json + "]"));
+  v1::WatchEvent event;
+  event.mutable_live_robot()->set_robot("robots/r1");
+  *event.mutable_live_robot()->mutable_live() = live;
+  v1::WatchEvent gone;
+  gone.mutable_live_robot()->set_robot("robots/r1");
+  state().watch_script = {{.events = {event, gone}, .stays_open = true}};
+  EXPECT_THAT(Run({"watch", "hall", "--robots", "--count", "2"}).out,
+              AllOf(HasSubstr(R"({"event":"live_robot","robot":"r1","live":)" + live_json),
+                    HasSubstr(R"({"event":"live_robot","robot":"r1","live":null)")));
+  // A day of 100 ppm.
+  const ClockOffset known{0, 402'000, 9, 100.0};
+  EXPECT_EQ(known.UncertaintyAt(9 + 86'400'000'000'000), 8'640'402'000);
 }
 
 TEST_F(CliTest, Evaluates) {

@@ -292,6 +292,44 @@ TEST(Localizer, AJumpOfTheOdometryIsNoMotion) {
   EXPECT_LT(PositionError(corrections.back()), 0.02);
 }
 
+TEST(Localizer, TheFrameOfTheOdometryCarriesLaterOdometryIntoTheMap) {
+  const SyntheticRoom room;
+  Drive drive = MakeDrive(room, 12.0, 5);
+  Localizer localizer = MakeLocalizer(Prepare(room));
+  EXPECT_FALSE(localizer.odometry_frame());
+  const auto error_m = [](const OdometryFrame& frame, const frames::Odometry& odometry) {
+    const Pose2 map_from_base = frame.map_from_odom * odometry.odom_from_base;
+    const Pose2 truth = Truth(odometry.stamp_ns);
+    return std::hypot(map_from_base.x_m - truth.x_m, map_from_base.y_m - truth.y_m);
+  };
+  std::optional<OdometryFrame> in_the_middle;
+  frames::Odometry last;
+  for (frames::Frame& frame : drive.frames) {
+    if (auto* odometry = std::get_if<frames::Odometry>(&frame)) {
+      // The wheel encoders begin anew elsewhere.
+      if (odometry->stamp_ns > kStart_ns + 3 * kSecond_ns) {
+        odometry->odom_from_base = Pose2{-40.0, 7.0, 2.0} * odometry->odom_from_base;
+      }
+      last = *odometry;
+    }
+    Feed(localizer, frame);
+    if (!in_the_middle && last.stamp_ns >= kStart_ns + 6 * kSecond_ns) {
+      in_the_middle = localizer.odometry_frame();
+      ASSERT_TRUE(in_the_middle);
+      EXPECT_EQ(in_the_middle->stamp_ns, last.stamp_ns);
+    }
+  }
+  const auto at_the_end = localizer.odometry_frame();
+  ASSERT_TRUE(at_the_end);
+  EXPECT_LT(error_m(*at_the_end, last), 0.10);
+  // 6 s, 3 m and 9 degrees of drift later; a frame of the encoders before would be 40 m off.
+  EXPECT_LT(error_m(*in_the_middle, last), 0.60);
+  // One that goes on from its state knows the same.
+  const auto again = Localizer::Restore(Prepare(room), LaserInFront(), localizer.state());
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(again->odometry_frame()->map_from_odom, at_the_end->map_from_odom);
+}
+
 TEST(Localizer, ALagOfTheLaserIsTakenOut) {
   const SyntheticRoom room;
   const TimeNs late_ns = kSecond_ns / 10;

@@ -22,6 +22,7 @@ TEST(Records, ASessionIsReadBackBitForBit) {
   record.warnings = {"a \"quoted\" warning"};
   record.epoch = 3;
   record.complete = true;
+  record.clock_offsets = {{-3'600'000'000'000, 1'000, 5, 0.1}, {1LL << 61, 7, 1LL << 60, 100.0}};
   record.frame_count = 1LL << 40;
   record.last_frame_ns = 1'700'000'000'123'456'789;
   const auto read = SessionRecordFromJson(ToJson(record));
@@ -32,6 +33,31 @@ TEST(Records, ASessionIsReadBackBitForBit) {
   EXPECT_EQ(read->calibration.mic_in_array_m[0], record.calibration.mic_in_array_m[0]);
   EXPECT_EQ(*read->initial_pose, *record.initial_pose);
   EXPECT_EQ(read->frame_count, record.frame_count);
+  EXPECT_EQ(read->clock_offsets, record.clock_offsets);
+}
+
+TEST(Records, AnOffsetOfAClockIsReplacedUntilAClockJumps) {
+  constexpr std::int64_t kMs_ns = 1'000'000;
+  constexpr std::int64_t kHour_ns = 3'600'000 * kMs_ns;
+  SessionRecord record;
+  EXPECT_FALSE(record.newest_offset());
+  // Known to 2 ms, later to 1 ms: 3 ms apart can be the same.
+  EXPECT_FALSE(record.Take({0, 2 * kMs_ns, kHour_ns, 100.0}));
+  EXPECT_FALSE(record.Take({3 * kMs_ns, kMs_ns, kHour_ns, 100.0}));
+  EXPECT_EQ(record.clock_offsets.size(), 1u);
+  // An hour of 100 ppm is 360 ms.
+  EXPECT_EQ(record.newest_offset()->UncertaintyAt(2 * kHour_ns), 361 * kMs_ns);
+  EXPECT_FALSE(record.Take({364 * kMs_ns, kMs_ns, 2 * kHour_ns, 100.0}));
+  EXPECT_EQ(record.clock_offsets.size(), 1u);
+  EXPECT_TRUE(record.Take({367 * kMs_ns, kMs_ns, 2 * kHour_ns, 100.0}));
+  EXPECT_EQ(record.clock_offsets.size(), 2u);
+  EXPECT_TRUE(record.Take({kHour_ns, kMs_ns, 2 * kHour_ns, 100.0}));
+  EXPECT_EQ(record.clock_offsets.size(), 3u);
+  for (int i = 0; i < 100; ++i) {
+    EXPECT_TRUE(record.Take({i % 2 * kHour_ns, kMs_ns, 2 * kHour_ns + i, 100.0}));
+  }
+  EXPECT_EQ(record.clock_offsets.size(), 32u);
+  EXPECT_EQ(record.newest_offset()->time_ns, 2 * kHour_ns + 99);
 }
 
 TEST(Records, DamageIsSaid) {

@@ -2,8 +2,10 @@
 
 import json
 import select
+import math
 import socket
 import threading
+import time
 import unittest
 import urllib.request
 
@@ -13,13 +15,17 @@ SHORT = DRIVES / "short.mcap"
 
 
 class Link:
-    """A TCP proxy to the server. While it is down, nobody gets through and no connection lives."""
+    """A TCP proxy to the server. While it is down, nobody gets through and no connection lives; while it is stalled, connections live and
+    nothing gets through. `bytes_per_s`: that each connection carries."""
 
     def __init__(self, up=True):
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.address = "127.0.0.1:%d" % self.listener.getsockname()[1]
         self.target = None
         self.is_up = up
+        self.bytes_per_s = None
+        self.flows = threading.Event()
+        self.flows.set()
         self.lock = threading.Lock()
         self.sockets = []
         threading.Thread(target=self.accept, daemon=True).start()
@@ -43,15 +49,17 @@ class Link:
                 self.sockets += [client, server]
             threading.Thread(target=self.forward, args=(client, server), daemon=True).start()
 
-    @staticmethod
-    def forward(client, server):
+    def forward(self, client, server):
         other = {client: server, server: client}
         try:
             while True:
                 for end in select.select([client, server], [], [])[0]:
-                    data = end.recv(1 << 16)
+                    data = end.recv(1 << 14)
                     if not data:
                         raise OSError
+                    self.flows.wait()
+                    if self.bytes_per_s:
+                        time.sleep(len(data) / self.bytes_per_s)
                     other[end].sendall(data)
         except (OSError, ValueError):
             client.close()
@@ -83,7 +91,7 @@ class NetworkTest(ProgramTest):
         self.addCleanup(link.close)
         return link
 
-    def config(self, drive, address, *, speed=8, spool=""):
+    def config(self, drive, address, *, speed=8, spool="", uplink=""):
         x, y, yaw = start_pose(drive).split(",")
         path = self.folder / "agent.toml"
         path.write_text(f"""
@@ -98,6 +106,8 @@ initial_yaw_deg = {float(yaw) * 57.29577951308232}
 [source]
 drive = "{drive}"
 speed = {speed}
+[uplink]
+{uplink}
 [spool]
 dir = "{self.folder / 'spool'}"
 {spool}
@@ -108,7 +118,8 @@ dir = "{self.folder / 'spool'}"
         """Sources and map of the same session without anything in between."""
         server = self.server("undisturbed")
         self.make_site(server)
-        agent = start(server, "soundmap-robot", "run", "--config", self.config(drive, server.address, speed=0))
+        agent = start(server, "soundmap-robot", "run", "--config",
+                      self.config(drive, server.address, speed=0, uplink="live = false"))
         self.assertEqual(agent.wait(timeout=120), 0, agent.stderr.read())
         agent.communicate()
         results = self.sources_json(server), self.full_map(server), self.processed(server)
@@ -120,6 +131,10 @@ dir = "{self.folder / 'spool'}"
     def spooled(self):
         out = self.ok(None, "soundmap-robot", "spool", "--dir", self.folder / "spool", "--format", "json")
         return json.loads(out)["sessions"]
+
+    def robot(self, server):
+        robots = json.loads(self.ok(server, "soundmap", "robots", "site", "--format", "json"))["robots"]
+        return next((robot for robot in robots if robot["id"] == "robot"), {"live": None})
 
     def test_coded_frames_give_the_same_map_as_raw_ones(self):
         server = self.server("coded")
@@ -214,9 +229,7 @@ dir = "{self.folder / 'spool'}"
             self.assertEqual((gap["offset"], gap["from_ns"]), (0, 0))
             self.assertIn("the spool was full", gap["reason"])
             self.assertEqual(int(session["processed"]), spooled["recorded"] - lost["frames"] + 1)
-            robots = json.loads(self.ok(server, "soundmap", "robots", "site", "--format", "json"))["robots"]
-            (robot,) = [robot for robot in robots if robot["id"] == "robot"]
-            self.assertEqual(robot["lost_frames"], lost["frames"])
+            self.assertEqual(self.robot(server)["lost_frames"], lost["frames"])
             self.assertIn("the spool was full", self.ok(server, "soundmap", "sessions", "site"))
 
         check()
@@ -225,6 +238,86 @@ dir = "{self.folder / 'spool'}"
         server.kill()
         server = self.server()
         check()
+
+    def await_live(self, server, agent, what):
+        """The first live view of which `what` is true, and how many of the recorded frames the server has not had in its map then."""
+        while True:
+            self.assertIsNone(agent.poll(), "the drive is over")
+            live = self.robot(server)["live"]
+            if live and what(live):
+                return live, live["recorded_frames"] - self.processed(server)
+
+    def test_the_live_view_returns_while_the_backlog_drains(self):
+        drive = DRIVES / "drive.mcap"
+        sources, voxels, frames = self.undisturbed(drive)
+        server = self.server("live")
+        self.make_site(server)
+        link = self.link_to(server)
+        link.bytes_per_s = 300_000  # of 800,000 that come
+        agent = start(server, "soundmap-robot", "run", "--config", self.config(drive, link.address, speed=1))
+        seen = [self.await_live(server, agent, lambda live: live["map_from_base"])[0]]
+
+        def cut_silently():
+            link.flows.clear()
+
+        def mend():
+            link.flows.set()
+
+        for cut, mended in ((cut_silently, mend), (link.down, link.up)):
+            cut()
+            # The agent has lost the server, and the drive goes on.
+            before = seen[-1]["odometry_time_ns"]
+            if cut is cut_silently:
+                self.await_live(server, agent, lambda live: live["age_ns"] > 4e9)
+            else:
+                while self.robot(server)["live"]:
+                    self.assertIsNone(agent.poll())
+            mended()
+            back = time.monotonic()
+            live, behind = self.await_live(server, agent,
+                                           lambda live: live["age_ns"] < 1e9 and live["odometry_time_ns"] > before)
+            self.assertLess(time.monotonic() - back, 5.0)
+            self.assertGreater(behind, 0)
+            # It moves, ahead of what is localized, while the backlog drains.
+            moved, behind = self.await_live(
+                server, agent, lambda now: now["map_from_base"] and now["odometry_time_ns"] > live["odometry_time_ns"] + 5e8)
+            self.assertNotEqual(moved["odom_from_base"], live["odom_from_base"])
+            self.assertGreater(behind, 0)
+            self.assertGreater(moved["odometry_time_ns"], moved["localized_time_ns"] + 1e9)
+            self.assertTrue(moved["recording"])
+            self.assertGreater(len(moved["laser"]["range_m"]), 60)
+            seen += [live, moved]
+        # Both clocks are one and the same.
+        offset = self.robot(server)["clock_offset"]
+        self.assertLessEqual(abs(offset["server_minus_robot_ns"]), offset["uncertainty_ns"])
+        self.assertLess(offset["uncertainty_ns"], 1e9)
+        link.bytes_per_s = None
+        self.assertEqual(agent.wait(timeout=120), 0, agent.stderr.read())
+        agent.communicate()
+        self.assertIsNone(self.robot(server)["live"])
+        self.assertEqual(self.processed(server), frames)
+        self.assertEqual(self.full_map(server), voxels)
+        self.assertEqual(self.sources_json(server), sources)
+        # Where it was when it was seen, as it turned out.
+        path = json.loads(self.ok(server, "soundmap", "robots", "site", "--path", "--robot", "robot", "--format", "json"))["path"]
+        for live in seen:
+            if live["map_from_base"] is None:
+                continue
+            nearest = min(path, key=lambda pose: abs(pose["time_ns"] - live["odometry_time_ns"]))
+            away_s = abs(nearest["time_ns"] - live["odometry_time_ns"]) * 1e-9
+            error_m = math.dist([nearest["x_m"], nearest["y_m"]],
+                                [live["map_from_base"]["x_m"], live["map_from_base"]["y_m"]])
+            self.assertLess(error_m, 0.3 + away_s)
+        # The offset is kept with the session.
+        (session,) = self.session_list(server)
+        self.assertEqual(len(session["clock_offsets"]), 1)
+        server.kill()
+        server = self.server("live")
+        (session,) = self.session_list(server)
+        self.assertEqual(len(session["clock_offsets"]), 1)
+        self.assertLessEqual(abs(session["clock_offsets"][0]["server_minus_robot_ns"]),
+                             session["clock_offsets"][0]["uncertainty_ns"])
+        self.assertEqual(self.robot(server)["clock_offset"], session["clock_offsets"][0])
 
     def test_a_configuration_with_a_mistake_is_refused(self):
         path = self.config(SHORT, "127.0.0.1:1")

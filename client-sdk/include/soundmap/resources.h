@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -34,6 +35,19 @@ struct FrameGap {
   std::string reason;
 };
 
+// By how much the server's clock differs from a robot's, which capture times are of.
+struct ClockOffset {
+  std::int64_t server_minus_robot_ns = 0;  // to be added to a time of the robot's clock
+  std::int64_t uncertainty_ns = 0;         // at `time_ns` the offset is off by no more
+  std::int64_t time_ns = 0;                // server's clock
+  double drift_ppm = 0.0;                  // by which the uncertainty grows later
+
+  std::int64_t UncertaintyAt(std::int64_t server_time_ns) const {
+    const double age_ns = std::abs(static_cast<double>(server_time_ns - time_ns));
+    return uncertainty_ns + static_cast<std::int64_t>(std::ceil(1e-6 * drift_ppm * age_ns));
+  }
+};
+
 // One drive of one robot at one site.
 struct Session {
   std::string id;
@@ -53,9 +67,34 @@ struct Session {
   std::int64_t building_version = 0;
   std::int64_t audio_scans = 0;  // that entered the map
   std::vector<FrameGap> gaps;    // in order
+  // The newest, and before it the last ones before each jump of a clock. None in a replay.
+  std::vector<ClockOffset> clock_offsets;
 };
 
-// A robot that has had a session; its last known whereabouts.
+// A thinned scan of the LRF, for the eye.
+struct LaserView {
+  std::int64_t time_ns = 0;  // capture time of the first beam
+  double start_angle_rad = 0.0;
+  double angle_increment_rad = 0.0;
+  std::vector<float> range_m;  // 0: no return
+};
+
+// What a robot said of itself last, beside the frames that wait on it.
+struct LiveView {
+  std::string session;      // of the drive at hand; the server need not have it yet
+  std::int64_t age_ns = 0;  // when it was told
+  bool recording = false;   // else the drive is over
+  std::int64_t recorded_frames = 0;
+  std::int64_t odometry_time_ns = 0;  // capture time
+  std::optional<Pose2> odom_from_base;
+  // Where the newest localized frame had the robot, carried on by the odometry since; none while it
+  // is lost.
+  std::optional<Pose2> map_from_base;
+  std::int64_t localized_time_ns = 0;  // capture time of that frame
+  std::optional<LaserView> laser;
+};
+
+// A robot that has had a session or is live; its last known whereabouts.
 struct Robot {
   std::string id;
   std::string site;     // of its newest session
@@ -64,6 +103,8 @@ struct Robot {
   std::optional<PoseEstimate> pose;
   std::int64_t last_seen_ns = 0;  // server time
   std::int64_t lost_frames = 0;   // in that session, before they could be sent
+  std::optional<LiveView> live;
+  std::optional<ClockOffset> clock_offset;  // none: it was never live, as in a replay
 };
 
 // Long-running work on the server.

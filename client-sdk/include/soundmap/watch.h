@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
 #include <variant>
 
@@ -21,6 +22,12 @@ struct WatchRequest {
 struct RemovedSoundSource {
   std::string id;
 };
+// The newest that a live robot said; the robot's other fields are told of by Robot.
+struct LiveRobot {
+  std::string robot;
+  std::optional<LiveView> live;  // none: it is live no more
+  std::optional<ClockOffset> clock_offset;
+};
 // All of the present state has been told; what follows are changes.
 struct SnapshotComplete {};
 // Nothing happened; the connection is alive.
@@ -32,7 +39,7 @@ struct WatchEvent {
   std::int64_t revision = 0;
   std::string resume_token;
   std::variant<Heartbeat, SoundSource, RemovedSoundSource, Robot, AudioScan, SnapshotComplete,
-               Resync, SoundSourceEvent>
+               Resync, SoundSourceEvent, LiveRobot>
       event;
 };
 
