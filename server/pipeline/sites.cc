@@ -54,7 +54,8 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
     meters->stages.Add(Stage::kLog, cpu_time);
   };
   sites->group_commit_ = std::make_unique<storage::GroupCommit>(
-      sites->options_.executor, store,
+      sites->options_.sync_executor ? sites->options_.sync_executor : sites->options_.executor,
+      store,
       [sites = sites.get()](const storage::SessionId& id,
                             const absl::StatusOr<std::int64_t>& durable) {
         const auto site = sites->Get(id.site);
