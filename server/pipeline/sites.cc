@@ -63,6 +63,9 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
         if (const auto session = (*site)->FindSession(id.session)) session->OnDurable(durable);
       },
       commit_options);
+  for (const std::shared_ptr<Site>& site : sites->List()) {
+    for (const std::shared_ptr<Session>& session : site->Sessions()) session->Resume();
+  }
   boost::asio::post(sites->timer_strand_, [sites = sites.get()] { sites->WatchSources(); });
   return sites;
 }
