@@ -35,7 +35,7 @@ class GrpcServer : public Server {
         ingest_(parts.sites, parts.access, parts.executor),
         robots_(parts.sites, parts.access),
         sound_map_(parts.sites, parts.access, parts.store),
-        maps_(parts.sites, parts.access, parts.operations),
+        maps_(parts.sites, parts.access, parts.operations, parts.executor, parts.import_patience),
         operations_(parts.operations, parts.access),
         tuning_(parts.sites, parts.access, parts.operations),
         backups_(parts.store, parts.operations, parts.access, parts.backup_dir),
