@@ -30,6 +30,9 @@
 namespace soundmap {
 namespace {
 
+// As many logs are synced at a time: the disk takes them together.
+constexpr int kIoThreads = 4;
+
 std::int64_t NowNs() {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(
              std::chrono::system_clock::now().time_since_epoch())
@@ -48,8 +51,10 @@ absl::Status Serve(const ServerConfig& config) {
 
   const unsigned cores = std::max(1u, std::thread::hardware_concurrency());
   boost::asio::thread_pool pool(config.threads > 0 ? config.threads : cores);
+  // What waits for the disk and for peers, so that it never waits behind the work on frames.
+  boost::asio::thread_pool io_pool(kIoThreads);
   // Before any other thread exists in gRPC, so that the signals come here.
-  boost::asio::signal_set signals(pool, SIGTERM, SIGINT);
+  boost::asio::signal_set signals(io_pool, SIGTERM, SIGINT);
   std::promise<int> stop;
   signals.async_wait([&stop](boost::system::error_code error, int signal) {
     if (!error) stop.set_value(signal);
@@ -64,6 +69,7 @@ absl::Status Serve(const ServerConfig& config) {
     return found->second;
   };
   options.now_ns = NowNs;
+  options.sync_executor = io_pool.get_executor();
   const std::shared_ptr<const pipeline::Meters> meters = options.meters;
   spdlog::info("recovering from {}", config.data_dir);
   auto sites = pipeline::Sites::Open(store->get(), std::move(options));
@@ -77,14 +83,14 @@ absl::Status Serve(const ServerConfig& config) {
     parts.operations = &operations;
     parts.access = access->get();
     parts.store = store->get();
-    parts.executor = pool.get_executor();
+    parts.executor = io_pool.get_executor();
     parts.now_ns = NowNs;
     parts.backup_dir = config.backup_dir;
     parts.server_id = absl::StrCat(absl::Hex(NowNs()));
     auto server = api::Server::Start(config.grpc_address, config.tls, parts);
     if (!server.ok()) return server.status();
     auto gateway = web_gateway::HttpGateway::Start(
-        pool.get_executor(), config.http_address, config.tls,
+        io_pool.get_executor(), config.http_address, config.tls,
         {[&ready] { return ready.load(); },
          [meters, access = access->get()] { return MetricsText(*meters, *access); },
          access->get()});
@@ -109,6 +115,7 @@ absl::Status Serve(const ServerConfig& config) {
   (*sites)->Stop();
   sites->reset();
   pool.join();
+  io_pool.join();
   store->reset();
   spdlog::info("stopped");
   return absl::OkStatus();

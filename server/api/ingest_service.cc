@@ -1,13 +1,14 @@
 #include "api/ingest_service.h"
 
 #include <algorithm>
-#include <boost/asio/post.hpp>
+#include <chrono>
 #include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "api/find.h"
 #include "api/status.h"
+#include "api/wake.h"
 #include "recording/frame_coding.h"
 #include "storage/crc32c.h"
 
@@ -158,12 +159,10 @@ class IngestService::Stream : public grpc::ServerBidiReactor<v1::IngestRequest, 
     }
     epoch_ = open.epoch();
     session_ = *session;
-    const std::int64_t resume_offset =
-        session_->Attach(epoch_, [weak = weak_from_this(), executor = service_->executor_] {
-          boost::asio::post(executor, [weak] {
-            if (const auto self = weak.lock()) self->Pump();
-          });
-        });
+    const std::int64_t resume_offset = session_->Attach(
+        epoch_, Wake(service_->executor_, std::chrono::milliseconds(0), [weak = weak_from_this()] {
+          if (const auto self = weak.lock()) self->Pump();
+        }));
     std::lock_guard lock(mutex_);
     v1::Welcome& welcome = welcome_.emplace();
     welcome.set_resume_offset(resume_offset);

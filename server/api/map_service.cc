@@ -1,8 +1,12 @@
 #include "api/map_service.h"
 
+#include <boost/asio/steady_timer.hpp>
 #include <memory>
+#include <mutex>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/time.h"
 #include "api/convert.h"
 #include "api/find.h"
 #include "api/map_files.h"
@@ -15,6 +19,8 @@ namespace {
 constexpr std::size_t kExportChunkBytes = 256 << 10;
 constexpr std::size_t kMaxImportBytes = std::size_t{1} << 30;
 constexpr long kMaxImports = 2;  // at a time, with those that wait to be read
+// Of an import, in the time that it has patience: 20 kbit/s with 30 s.
+constexpr std::size_t kMinImportBytes = 64 << 10;
 
 }  // namespace
 
@@ -46,11 +52,19 @@ grpc::ServerUnaryReactor* MapService::BuildMap(grpc::CallbackServerContext* cont
   return finish(absl::OkStatus());
 }
 
-// Collects the file, then starts the operation that reads it.
-class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> {
+// Collects the file, then starts the operation that reads it. A client that stalls keeps no slot.
+class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest>,
+                           public std::enable_shared_from_this<MapService::Import> {
  public:
   Import(MapService* service, grpc::CallbackServerContext* context, v1::Operation* response)
-      : service_(service), context_(context), response_(response) {
+      : service_(service),
+        context_(context),
+        response_(response),
+        stall_timer_(service->executor_) {}
+
+  void Start() {
+    alive_ = shared_from_this();
+    const std::lock_guard lock(mutex_);
     auto caller = service_->access_->CallerOf(*context_);
     if (!caller.ok()) {
       End(caller.status());
@@ -63,9 +77,12 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
       return;
     }
     StartRead(&request_);
+    AwaitMore();
   }
 
   void OnReadDone(bool ok) override {
+    const std::lock_guard lock(mutex_);
+    if (ended_) return;
     if (!ok) {
       End(StartOperation());
       return;
@@ -77,9 +94,35 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
     }
     StartRead(&request_);
   }
-  void OnDone() override { delete this; }
+  void OnDone() override {
+    {
+      const std::lock_guard lock(mutex_);
+      stall_timer_.cancel();
+    }
+    alive_.reset();  // deletes this, unless the timer still holds it
+  }
 
  private:
+  // All with mutex_ held.
+  void AwaitMore() {
+    stall_timer_.expires_after(service_->import_patience_);
+    stall_timer_.async_wait(
+        [weak = weak_from_this(), had = data_.size()](boost::system::error_code cancelled) {
+          const auto self = weak.lock();
+          if (cancelled || !self) return;
+          const std::lock_guard lock(self->mutex_);
+          if (self->ended_) return;
+          if (self->data_.size() - had < kMinImportBytes) {
+            self->End(absl::DeadlineExceededError(absl::StrCat(
+                "the import stalls: ", self->data_.size() - had, " bytes arrived in ",
+                absl::ToInt64Seconds(absl::FromChrono(self->service_->import_patience_)), " s, ",
+                kMinImportBytes, " are the least")));
+          } else {
+            self->AwaitMore();
+          }
+        });
+  }
+
   absl::Status Take() {
     if (request_.has_header()) {
       if (site_) return absl::InvalidArgumentError("the import has two headers");
@@ -98,6 +141,7 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
   }
 
   void End(const absl::Status& status) {
+    ended_ = true;
     Finish(ToGrpcStatus(service_->access_->Audit(*context_, "import map", header_.site(), status)));
   }
 
@@ -134,7 +178,11 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
   }
 
   MapService* const service_;
-  const std::shared_ptr<const int> slot_ = service_->imports_;
+  std::shared_ptr<Import> alive_;
+
+  std::mutex mutex_;
+  // Guarded by mutex_.
+  std::shared_ptr<const int> slot_ = service_->imports_;
   grpc::CallbackServerContext* const context_;
   v1::Operation* const response_;
   Caller caller_;
@@ -142,11 +190,15 @@ class MapService::Import : public grpc::ServerReadReactor<v1::ImportMapRequest> 
   v1::ImportMapHeader header_;
   std::shared_ptr<pipeline::Site> site_;  // of the header
   std::string data_;
+  bool ended_ = false;
+  boost::asio::steady_timer stall_timer_;
 };
 
 grpc::ServerReadReactor<v1::ImportMapRequest>* MapService::ImportMap(
     grpc::CallbackServerContext* context, v1::Operation* response) {
-  return new Import(this, context, response);
+  const auto import = std::make_shared<Import>(this, context, response);
+  import->Start();
+  return import.get();
 }
 
 grpc::ServerWriteReactor<v1::ExportMapResponse>* MapService::ExportMap(

@@ -5,6 +5,7 @@
 #include <grpcpp/health_check_service_interface.h>
 
 #include <chrono>
+#include <thread>
 
 #include "absl/strings/str_cat.h"
 #include "api/backup_service.h"
@@ -36,7 +37,7 @@ class GrpcServer : public Server {
         live_(parts.sites, parts.access, parts.executor, parts.now_ns),
         robots_(parts.sites, parts.access),
         sound_map_(parts.sites, parts.access, parts.store),
-        maps_(parts.sites, parts.access, parts.operations),
+        maps_(parts.sites, parts.access, parts.operations, parts.executor, parts.import_patience),
         operations_(parts.operations, parts.access),
         tuning_(parts.sites, parts.access, parts.operations),
         backups_(parts.store, parts.operations, parts.access, parts.backup_dir),
@@ -67,11 +68,18 @@ class GrpcServer : public Server {
              &backups_, &tuning_, &watches_}) {
       builder.RegisterService(service);
     }
+    reading_ = builder.AddCompletionQueue();
     server_ = builder.BuildAndStart();
     if (!server_ || port == 0) {
       return absl::UnavailableError(absl::StrCat("cannot listen on the gRPC address ", address,
                                                  ": the port is busy or not allowed"));
     }
+    reader_ = std::thread([this] {
+      void* tag = nullptr;
+      bool ok = false;
+      while (reading_->Next(&tag, &ok)) {
+      }
+    });
     address_ = absl::StrCat(address.substr(0, address.rfind(':')), ":", port);
     server_->GetHealthCheckService()->SetServingStatus(true);
     return absl::OkStatus();
@@ -85,6 +93,8 @@ class GrpcServer : public Server {
     live_.Drain();
     server_->Shutdown(std::chrono::system_clock::now() + kDrainTime);
     server_->Wait();
+    reading_->Shutdown();
+    reader_.join();
   }
 
  private:
@@ -99,7 +109,12 @@ class GrpcServer : public Server {
   TuningService tuning_;
   BackupService backups_;
   WatchService watches_;
+  // gRPC's threads look after the connections only when no call waits for them, and while calls are
+  // many or slow nobody gets in, and who answers a ping counts as dead. This queue has no calls:
+  // the thread that waits at it looks after the connections, and runs no code of ours.
+  std::unique_ptr<grpc::ServerCompletionQueue> reading_;
   std::unique_ptr<grpc::Server> server_;
+  std::thread reader_;
   std::string address_;
 };
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <boost/asio/any_io_executor.hpp>
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <string>
@@ -26,6 +27,8 @@ class Server {
     std::function<std::int64_t()> now_ns;
     std::string backup_dir;  // takes backups; empty: none are made
     std::string server_id;   // of this run of the server
+    // An upload that stalls for so long is ended.
+    std::chrono::milliseconds import_patience = std::chrono::seconds(30);
   };
 
   // Serves at once. Unavailable: the address cannot be bound. InvalidArgument: the TLS files.

@@ -1,9 +1,10 @@
 #include "api/watch_service.h"
 
-#include <boost/asio/post.hpp>
+#include <algorithm>
 #include <boost/asio/steady_timer.hpp>
 #include <chrono>
 #include <deque>
+#include <map>
 #include <mutex>
 #include <optional>
 
@@ -14,16 +15,21 @@
 #include "api/find.h"
 #include "api/resource_names.h"
 #include "api/status.h"
+#include "api/wake.h"
 
 namespace soundmap::api {
 namespace {
 
 constexpr std::chrono::seconds kHeartbeat(10);
-constexpr std::size_t kEventsPerRead = 64;
+// What happens in this time goes to a watcher together: few writes to the network, and of a robot's
+// states the newest.
+constexpr std::chrono::milliseconds kGather(200);
+constexpr std::int64_t kEventsPerPage = 256;
 
 }  // namespace
 
-// One watcher. It reads the site's ring of events at its own pace and holds a page of it at most.
+// One watcher. It reads the site's ring of events at its own pace, at most five times a second, and
+// holds a page of it at most.
 class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
                              public std::enable_shared_from_this<WatchService::Stream> {
  public:
@@ -52,11 +58,9 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
                       !site_->region().events().Read(next_, 0).lost;
     if (!ours) QueueSnapshot();
     subscription_ =
-        site_->region().events().Subscribe([weak = weak_from_this(), executor = executor_] {
-          boost::asio::post(executor, [weak] {
-            if (const auto self = weak.lock()) self->Pump();
-          });
-        });
+        site_->region().events().Subscribe(Wake(executor_, kGather, [weak = weak_from_this()] {
+          if (const auto self = weak.lock()) self->Pump();
+        }));
     Pump();
     std::lock_guard lock(mutex_);
     ArmHeartbeat();
@@ -126,23 +130,37 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
     queue_.push_back(std::move(proto));
   }
 
+  void QueuePage(const std::vector<pipeline::Event>& events) {
+    std::map<std::string, const pipeline::Event*> newest;  // state of each robot
+    for (const pipeline::Event& event : events) {
+      if (const auto* robot = std::get_if<pipeline::RobotInfo>(&event)) {
+        newest[robot->robot] = &event;
+      }
+    }
+    for (const pipeline::Event& event : events) {
+      const auto* robot = std::get_if<pipeline::RobotInfo>(&event);
+      if (robot == nullptr || newest[robot->robot] == &event) Queue(event);
+    }
+  }
+
   void Pump() {
     std::lock_guard lock(mutex_);
+    end_ = site_->region().events().next();
     WriteNext();
   }
 
   // With mutex_ held.
   void WriteNext() {
     if (writing_ || end_status_) return;
-    while (queue_.empty() && !resync_) {
-      const auto batch = site_->region().events().Read(next_, kEventsPerRead);
+    while (queue_.empty() && !resync_ && next_ < end_) {
+      const auto batch = site_->region().events().Read(
+          next_, static_cast<std::size_t>(std::min(kEventsPerPage, end_ - next_)));
       if (batch.lost) {
         resync_ = true;
         queue_.emplace_back().mutable_resync();
         break;
       }
-      if (batch.events.empty()) break;
-      for (const pipeline::Event& event : batch.events) Queue(event);
+      QueuePage(batch.events);
       next_ = batch.next;
     }
     if (queue_.empty() && std::exchange(heartbeat_due_, false)) {
@@ -154,11 +172,13 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
     }
     event_ = std::move(queue_.front());
     queue_.pop_front();
-    event_.set_revision(static_cast<std::int64_t>(site_->region().snapshot()->revision()));
+    event_.set_revision(static_cast<std::int64_t>(site_->region().revision()));
     // In the middle of a page the token would skip the rest of it.
     if (queue_.empty()) event_.set_resume_token(absl::StrCat(token_prefix_, next_));
     writing_ = true;
-    StartWrite(&event_);
+    grpc::WriteOptions options;
+    if (!queue_.empty()) options.set_buffer_hint();
+    StartWrite(&event_, options);
   }
 
   // With mutex_ held.
@@ -201,6 +221,7 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   // Guarded by mutex_.
   std::deque<v1::WatchEvent> queue_;
   std::int64_t next_ = 0;  // in the site's ring
+  std::int64_t end_ = 0;   // what came later waits for the next page
   v1::WatchEvent event_;
   bool writing_ = false;
   bool resync_ = false;

@@ -41,6 +41,7 @@ struct Meters {
   StageTimes stages;
   std::atomic<std::int64_t> received_bytes = 0;   // of the messages that robots have sent
   std::atomic<std::int64_t> lost_frames = 0;      // that robots reported as lost
+  std::atomic<std::int64_t> replayed_frames = 0;  // whose work was done again at the start
   LagHistogram durable_lag;                       // from a frame's arrival to the disk
   std::atomic<std::int64_t> bytes_in_flight = 0;  // of frames that wait for the disk or the map
   std::atomic<std::int64_t> streams = 0;          // of robots, open now

@@ -30,6 +30,8 @@ class Region {
                                                       const sound_map::SoundMapConfig& config);
 
   std::shared_ptr<const sound_map::Snapshot> snapshot() const { return map_->TakeSnapshot(); }
+  // Of snapshot(), at no cost to the writer.
+  std::uint64_t revision() const { return map_->revision(); }
 
   struct Sources {
     std::vector<sound_map::RegisteredSource> sources;  // most probable first

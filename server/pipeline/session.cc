@@ -102,28 +102,56 @@ absl::Status Session::Recover() {
   if (!first_message.ok()) return first_message.status();
   if (first_message->has_value()) record_.first_frame_ns = (*first_message)->log_time_ns;
 
+  const absl::Status replayed = Replay();
+  if (!replayed.ok()) return replayed;
+  return finished_ ? Complete() : absl::OkStatus();
+}
+
+absl::Status Session::Replay() {
   auto reader = log_->Read(next_);
   if (!reader.ok()) return reader.status();
-  while (next_ < durable_ || IsBehind()) {
+  const std::int64_t first = next_;
+  while (next_ < stored_poses_ || (heard_ < stored_evidence_ && IsBehind())) {
     if (IsBehind()) {
       const absl::Status caught_up = CatchUp();
       if (!caught_up.ok()) return caught_up;
-    } else {
-      auto message = (*reader)->Next();
-      if (!message.ok()) return message.status();
-      if (!message->has_value()) break;
-      auto item = Decode(**message);
-      if (!item.ok()) return item.status();
-      ended_ = std::holds_alternative<End>(item->content);
-      Apply(*std::move(item));
-      if (next_ % kBatchFrames != 0 && next_ != durable_) continue;
+      continue;
     }
-    // Up to where the server was when it stopped, all is stored.
-    if (next_ < stored_poses_ || heard_ < stored_evidence_) continue;
+    auto message = (*reader)->Next();
+    if (!message.ok()) return message.status();
+    if (!message->has_value()) return absl::DataLossError("the session log ends early");
+    auto item = Decode(**message);
+    if (!item.ok()) return item.status();
+    ended_ = std::holds_alternative<End>(item->content);
+    Apply(*std::move(item));
+  }
+  if (next_ > first) {
+    if (site_.meters != nullptr) site_.meters->replayed_frames += next_ - first;
+    batch_bytes_ = 0;  // nothing of it was in flight
     const absl::Status committed = Commit();
     if (!committed.ok()) return committed;
   }
-  return finished_ ? Complete() : absl::OkStatus();
+  return FillQueue(**reader);
+}
+
+absl::Status Session::FillQueue(storage::FrameReader& reader) {
+  while (true) {
+    auto message = reader.Next();
+    if (!message.ok()) return message.status();
+    if (!message->has_value()) return absl::OkStatus();
+    auto item = Decode(**message);
+    if (!item.ok()) return item.status();
+    ended_ = std::holds_alternative<End>(item->content);
+    AddInFlight(item->payload_bytes);
+    queue_.push_back(*std::move(item));
+  }
+}
+
+void Session::Resume() {
+  std::lock_guard lock(mutex_);
+  if (scheduled_ || stopping_ || !fault_.ok() || record_.complete) return;
+  scheduled_ = true;
+  boost::asio::post(strand_, [self = shared_from_this()] { self->Process(); });
 }
 
 absl::Status Session::ReadNewestPose() {
@@ -386,6 +414,7 @@ absl::Status Session::CatchUp() {
     if (!message->has_value()) return absl::DataLossError("the session log ends early");
     auto item = Decode(**message);
     if (!item.ok()) return item.status();
+    heard_ns_ = std::max(heard_ns_, item->log_time_ns);
     Listening::Output output;
     Hear(*std::move(item), output);
     TakeScans(heard_++, std::move(output.scans));
@@ -506,11 +535,17 @@ absl::Status Session::Commit() {
     commit_.processed_offset = next_;
     commit_.heard_offset = heard_;
     if (snapshot_ns_ == 0) snapshot_ns_ = batch_last_ns_;
-    if (listening_ && !finished_ && batch_last_ns_ - snapshot_ns_ >= kSnapshotInterval_ns) {
+    if (heard_ == next_) heard_ns_ = std::max(heard_ns_, batch_last_ns_);
+    if (snapshot_heard_ns_ == 0) snapshot_heard_ns_ = heard_ns_;
+    // A lost robot is localized without being heard; found, it is heard without being localized.
+    if (listening_ && !finished_ &&
+        (batch_last_ns_ - snapshot_ns_ >= kSnapshotInterval_ns ||
+         heard_ns_ - snapshot_heard_ns_ >= kSnapshotInterval_ns)) {
       clock_.Lap(Stage::kSession);
       commit_.state = storage::StateSnapshot{next_, listening_->SaveState()};
       clock_.Lap(Stage::kState);
       snapshot_ns_ = batch_last_ns_;
+      snapshot_heard_ns_ = heard_ns_;
     }
     clock_.Lap(Stage::kSession);
     const absl::Status committed = site_.region->Commit(commit_, clock_);

@@ -52,7 +52,8 @@ class Session : public std::enable_shared_from_this<Session> {
   };
 
   // Opens the log and brings the pipeline to where it was: the last state snapshot, then the frames
-  // behind it, whose evidence counts only from the first frame on that had no effect yet.
+  // behind it that had their effect, which does not count again: ten seconds of driving and a batch
+  // at most, however long the drive is.
   static absl::StatusOr<std::shared_ptr<Session>> Open(SessionRecord record, Site site);
 
   SessionRecord record() const;
@@ -97,6 +98,9 @@ class Session : public std::enable_shared_from_this<Session> {
   // Raises the epoch and returns it; the record is stored.
   absl::StatusOr<std::int64_t> NextEpoch();
 
+  // Goes on with the frames that are durable and had no effect yet. Once, after Open().
+  void Resume();
+
   // Processes nothing more; what is durable is processed after the next Open(). Returns when the
   // strand is idle.
   void Stop();
@@ -112,6 +116,9 @@ class Session : public std::enable_shared_from_this<Session> {
 
   Session(SessionRecord record, Site site);
   absl::Status Recover();
+  // Computes again what had its effect; then what is durable behind it waits in the queue.
+  absl::Status Replay();
+  absl::Status FillQueue(storage::FrameReader& reader);
   absl::Status ReadNewestPose();
   absl::StatusOr<Item> Decode(const recording::Message& message) const;
   storage::SessionId id() const { return {commit_.site, commit_.session}; }
@@ -177,7 +184,10 @@ class Session : public std::enable_shared_from_this<Session> {
   std::int64_t batch_bytes_ = 0;
   frames::TimeNs batch_first_ns_ = 0;
   frames::TimeNs batch_last_ns_ = 0;
-  frames::TimeNs snapshot_ns_ = 0;  // frame time of the last state snapshot
+  frames::TimeNs heard_ns_ = 0;  // of the newest frame that was heard
+  // batch_last_ns_ and heard_ns_ at the last state snapshot.
+  frames::TimeNs snapshot_ns_ = 0;
+  frames::TimeNs snapshot_heard_ns_ = 0;
   bool finished_ = false;
   bool record_changed_ = false;  // by the strand, and is not stored
   boost::asio::steady_timer retry_;

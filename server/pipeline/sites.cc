@@ -54,7 +54,8 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
     meters->stages.Add(Stage::kLog, cpu_time);
   };
   sites->group_commit_ = std::make_unique<storage::GroupCommit>(
-      sites->options_.executor, store,
+      sites->options_.sync_executor ? sites->options_.sync_executor : sites->options_.executor,
+      store,
       [sites = sites.get()](const storage::SessionId& id,
                             const absl::StatusOr<std::int64_t>& durable) {
         const auto site = sites->Get(id.site);
@@ -62,6 +63,9 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
         if (const auto session = (*site)->FindSession(id.session)) session->OnDurable(durable);
       },
       commit_options);
+  for (const std::shared_ptr<Site>& site : sites->List()) {
+    for (const std::shared_ptr<Session>& session : site->Sessions()) session->Resume();
+  }
   boost::asio::post(sites->timer_strand_, [sites = sites.get()] { sites->WatchSources(); });
   return sites;
 }

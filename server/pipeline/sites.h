@@ -28,6 +28,9 @@ class Sites {
     std::function<absl::StatusOr<Profile>(const std::string& name)> profile;
     std::function<std::int64_t()> now_ns;
     std::shared_ptr<Meters> meters = std::make_shared<Meters>();
+    // Syncs the session logs, so that a sync need not wait behind the work on frames; none: as all
+    // else.
+    boost::asio::any_io_executor sync_executor;
   };
 
   // Opens every site that the store knows and brings its sessions to where they were. `store`

@@ -39,14 +39,14 @@ class Descriptor {
   int value_;
 };
 
+}  // namespace
+
 std::string ParentOf(const std::string& path) {
   const std::string parent = std::filesystem::path(path).lexically_normal().parent_path().string();
   return parent.empty() ? "." : parent;
 }
 
-}  // namespace
-
-absl::Status CreateFolder(const std::string& path) {
+absl::Status CreateFolder(const std::string& path, bool sync) {
   if (::mkdir(path.c_str(), 0755) != 0) {
     if (errno != EEXIST) return ErrnoStatus("create the folder", path);
     std::error_code error;
@@ -54,7 +54,7 @@ absl::Status CreateFolder(const std::string& path) {
       return absl::FailedPreconditionError(absl::StrCat(path, " is not a folder"));
     }
   }
-  return SyncFolder(ParentOf(path));
+  return sync ? SyncFolder(ParentOf(path)) : absl::OkStatus();
 }
 
 absl::Status RemoveFolder(const std::string& path) {

@@ -11,8 +11,12 @@ namespace soundmap::storage {
 
 // Files and folders whose names outlive a power failure. Errors name the path.
 
-// Creates the folder unless it exists; its parent must exist.
-absl::Status CreateFolder(const std::string& path);
+// Of a file or folder; "." where the path has one part.
+std::string ParentOf(const std::string& path);
+
+// Creates the folder unless it exists; its parent must exist. Without `sync` its name may not
+// outlive a power failure.
+absl::Status CreateFolder(const std::string& path, bool sync = true);
 
 // Removes the folder and what is in it; OK if it is not there.
 absl::Status RemoveFolder(const std::string& path);

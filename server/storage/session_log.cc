@@ -206,6 +206,7 @@ struct SessionLog::State {
   std::unique_ptr<recording::Writer> writer;  // of the last segment
   std::int64_t segment_frame_bytes = 0;
   std::int64_t synced_file_bytes = 0;  // of the last segment
+  bool is_folder_synced = false;       // in its parent, since this log was opened
 
   std::int64_t received() const { return durable + static_cast<std::int64_t>(pending.size()); }
 
@@ -262,6 +263,10 @@ absl::Status SessionLog::State::WriteAndSync(const std::vector<const recording::
   if (absl::Status flushed = writer->Flush(/*sync=*/true); !flushed.ok()) return flushed;
   if (starts_segment) {
     if (absl::Status synced = SyncFolder(folder); !synced.ok()) return synced;
+  }
+  if (!is_folder_synced) {
+    if (absl::Status synced = SyncFolder(ParentOf(folder)); !synced.ok()) return synced;
+    is_folder_synced = true;
   }
   struct stat file = {};
   synced_file_bytes = ::stat(segments.back().path.c_str(), &file) == 0 ? file.st_size : -1;
@@ -333,7 +338,8 @@ absl::StatusOr<std::shared_ptr<SessionLog>> SessionLog::Open(
     return absl::InvalidArgumentError(
         "segment_bytes, max_pending_bytes and crc_window_frames of a session log must be positive");
   }
-  if (absl::Status created = CreateFolder(folder); !created.ok()) return created;
+  // Sessions are many, and most wait for their robot: the folder is synced with the first frames.
+  if (absl::Status created = CreateFolder(folder, /*sync=*/false); !created.ok()) return created;
   auto segments = ListSegments(folder);
   if (!segments.ok()) return segments.status();
 

@@ -228,7 +228,10 @@ absl::StatusOr<std::shared_ptr<SessionLog>> Store::OpenSession(const SessionId& 
     if (absl::Status removed = state_->RemoveSiteFolder(id.site); !removed.ok()) return removed;
   }
   const std::string site_folder = state_->site_dir(id.site);
-  if (absl::Status created = CreateFolder(site_folder); !created.ok()) return created;
+  const auto sibling = state_->sessions.lower_bound({id.site, ""});
+  if (sibling == state_->sessions.end() || sibling->first.site != id.site) {
+    if (absl::Status created = CreateFolder(site_folder); !created.ok()) return created;
+  }
   // The mark is a lower bound that tells a tail which a crash has cut from frames that were lost.
   // It need not be synced, and may fail.
   auto remember = [state = state_.get(), key = DurableKey(id)](std::int64_t durable) {

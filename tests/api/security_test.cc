@@ -97,6 +97,7 @@ bool Fill(const std::string& site, google::protobuf::Message& message) {
 class SecurityTest : public testing::Test {
  protected:
   static void SetUpTestSuite() {
+    if (folder_ != nullptr) return;
     // Failed handshakes are expected, their log is not.
     setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
     folder_ = new std::string(::testing::TempDir() + "/credentials");
@@ -146,6 +147,7 @@ class SecurityTest : public testing::Test {
     parts.executor = pool_.get_executor();
     parts.now_ns = now_ns;
     parts.server_id = "test";
+    parts.import_patience = import_patience_;
     server_ = Server::Start("127.0.0.1:0", tls_, parts).value();
   }
 
@@ -273,6 +275,7 @@ class SecurityTest : public testing::Test {
   const std::string data_;
   TlsFiles tls_;
   Access::Options access_options_;
+  std::chrono::milliseconds import_patience_ = std::chrono::seconds(30);
   boost::asio::thread_pool pool_;
   std::unique_ptr<storage::Store> store_;
   std::unique_ptr<pipeline::Sites> sites_;
@@ -463,6 +466,31 @@ TEST_F(SecurityTest, AThirdImportAtATimeIsRefused) {
   while (third() == grpc::StatusCode::RESOURCE_EXHAUSTED) {
     ASSERT_LT(std::chrono::steady_clock::now(), deadline);
   }
+}
+
+class ImpatientServerTest : public SecurityTest {
+ protected:
+  ImpatientServerTest() { import_patience_ = std::chrono::milliseconds(300); }
+};
+
+TEST_F(ImpatientServerTest, AnImportThatStallsLosesItsPlace) {
+  const auto channel = Channel();
+  v1::ImportMapRequest header;
+  header.mutable_header()->set_site("sites/a");
+  header.mutable_header()->set_format("none");
+  grpc::ClientContext context;
+  Prepare(context, "write");
+  v1::Operation operation;
+  const auto stub = v1::MapService::NewStub(channel);
+  const auto writer = stub->ImportMap(&context, &operation);
+  ASSERT_TRUE(writer->Write(header));
+  // Drops are a stall too.
+  v1::ImportMapRequest drop;
+  drop.set_data("x");
+  for (int i = 0; i < 100; ++i) writer->Write(drop);
+  const grpc::Status stalled = writer->Finish();
+  EXPECT_EQ(stalled.error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
+  EXPECT_THAT(stalled.error_message(), HasSubstr("the import stalls"));
 }
 
 TEST_F(SecurityTest, AServerThatStopsSaysSoFirst) {

@@ -1,6 +1,8 @@
 """What is durable survives the end of the server, however it comes."""
 
+import re
 import unittest
+import urllib.request
 
 from programs import DRIVES, ProgramTest, run, start
 
@@ -48,6 +50,33 @@ class DurabilityTest(ProgramTest):
         server = self.replay_while_killing(server, frames, self.replay_arguments(DRIVE, speed="8"))
         self.assertEqual(self.full_map(server), voxels)
         self.assertEqual(self.source_history_json(server), sources)
+
+    def test_a_restart_computes_little_again_however_long_the_drive(self):
+        server = self.server()
+        self.make_site(server)
+        self.replay(server, DRIVE, robot="whole")
+        (whole,) = self.session_list(server)
+        frames_per_s = whole["processed"] / (whole["last_frame_time_ns"] - whole["first_frame_time_ns"]) * 1e9
+        robot = start(server, "soundmap-robot", *self.replay_arguments(DRIVE, robot="cut"), "--connect-timeout", "1")
+
+        def cut():
+            return next((session for session in self.session_list(server) if session["robot"].endswith("cut")), {"processed": 0})
+
+        while cut()["processed"] < 0.7 * whole["processed"] and robot.poll() is None:
+            pass
+        server.kill()
+        robot.terminate()
+        robot.communicate()
+        server = self.server()
+        with urllib.request.urlopen(f"http://{server.http_address}/metrics") as answer:
+            replayed = int(re.search(r"^soundmap_replayed_frames_total (\d+)", answer.read().decode(), re.M).group(1))
+        # The state of the pipeline is kept every 10 s of driving, when a batch of up to 64 frames ends.
+        self.assertLessEqual(replayed, 10 * frames_per_s + 2 * 64)
+        self.assertGreater(replayed, 0)
+        # What was durable and had no effect yet has it now, without the robot.
+        while cut()["processed"] < cut()["durable"]:
+            self.assertTrue(server.alive())
+        self.assertGreaterEqual(cut()["processed"], 0.7 * whole["processed"])
 
     def test_sigterm_in_the_middle_of_a_drive(self):
         server = self.server("undisturbed")

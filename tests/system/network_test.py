@@ -1,9 +1,14 @@
 """How frames reach the server over a network that fails: coded, spooled, cut, with the agent killed."""
 
+import ctypes
 import json
-import select
 import math
+import os
+import queue
+import shutil
 import socket
+import subprocess
+import sys
 import threading
 import time
 import unittest
@@ -16,18 +21,19 @@ SHORT = DRIVES / "short.mcap"
 
 class Link:
     """A TCP proxy to the server. While it is down, nobody gets through and no connection lives; while it is stalled, connections live and
-    nothing gets through. `bytes_per_s`: that each connection carries."""
+    nothing gets through. What it carries arrives `delay_s` later, and no faster than `bytes_per_s` in each direction of a connection."""
 
-    def __init__(self, up=True):
+    def __init__(self, up=True, delay_s=0.0, bytes_per_s=None):
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.address = "127.0.0.1:%d" % self.listener.getsockname()[1]
         self.target = None
         self.is_up = up
-        self.bytes_per_s = None
+        self.delay_s = delay_s
+        self.bytes_per_s = bytes_per_s
         self.flows = threading.Event()
         self.flows.set()
         self.lock = threading.Lock()
-        self.sockets = []
+        self.connections = []  # (client, server, flowing)
         threading.Thread(target=self.accept, daemon=True).start()
 
     def accept(self):
@@ -46,34 +52,65 @@ class Link:
                 except OSError:
                     client.close()
                     continue
-                self.sockets += [client, server]
-            threading.Thread(target=self.forward, args=(client, server), daemon=True).start()
+                flowing = threading.Event()
+                flowing.set()
+                self.connections.append((client, server, flowing))
+            for source, sink in ((client, server), (server, client)):
+                under_way = queue.Queue()
+                threading.Thread(target=self.take, args=(source, under_way), daemon=True).start()
+                threading.Thread(target=self.deliver, args=(under_way, source, sink, flowing), daemon=True).start()
 
-    def forward(self, client, server):
-        other = {client: server, server: client}
+    def take(self, source, under_way):
+        try:
+            while data := source.recv(1 << 16):
+                under_way.put((time.monotonic() + self.delay_s, data))
+        except OSError:
+            pass
+        under_way.put((0.0, b""))
+
+    def deliver(self, under_way, source, sink, flowing):
         try:
             while True:
-                for end in select.select([client, server], [], [])[0]:
-                    data = end.recv(1 << 14)
-                    if not data:
-                        raise OSError
-                    self.flows.wait()
-                    if self.bytes_per_s:
-                        time.sleep(len(data) / self.bytes_per_s)
-                    other[end].sendall(data)
-        except (OSError, ValueError):
-            client.close()
-            server.close()
+                due, data = under_way.get()
+                time.sleep(max(0.0, due - time.monotonic()))
+                flowing.wait()
+                self.flows.wait()
+                if not data:
+                    break
+                sink.sendall(data)
+                if self.bytes_per_s:
+                    time.sleep(len(data) / self.bytes_per_s)
+        except OSError:
+            pass
+        self.end(source, sink)
+        with self.lock:
+            others = [connection for connection in self.connections if source not in connection]
+            if len(others) == len(self.connections):  # the other direction has ended before
+                source.close()
+                sink.close()
+            self.connections = others
+
+    @staticmethod
+    def end(*ends):
+        for end in ends:
+            try:
+                end.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                pass
+
+    def freeze(self):
+        """The connections there are carry nothing more, and nobody is told; new ones work."""
+        with self.lock:
+            for _, _, flowing in self.connections:
+                flowing.clear()
 
     def down(self):
         with self.lock:
             self.is_up = False
-            for end in self.sockets:
-                try:
-                    end.shutdown(socket.SHUT_RDWR)
-                except OSError:
-                    pass
-            self.sockets = []
+            for client, server, flowing in self.connections:
+                self.end(client, server)
+                flowing.set()
+            self.connections = []
 
     def up(self):
         with self.lock:
@@ -85,8 +122,8 @@ class Link:
 
 
 class NetworkTest(ProgramTest):
-    def link_to(self, server, up=True):
-        link = Link(up)
+    def link_to(self, server, up=True, **carries):
+        link = Link(up, **carries)
         link.target = server.address
         self.addCleanup(link.close)
         return link
@@ -207,6 +244,78 @@ dir = "{self.folder / 'spool'}"
         (session,) = self.spooled()
         self.assertTrue(session["delivered"])
         self.assertEqual(session["bytes"], 0)
+
+    def finish_like(self, undisturbed, server, agent):
+        """The agent delivers all, and the map is the undisturbed one; how long that took."""
+        begin = time.monotonic()
+        self.assertEqual(agent.wait(timeout=300), 0, agent.stderr.read())
+        agent.communicate()
+        took_s = time.monotonic() - begin
+        self.assertEqual((self.sources_json(server), self.full_map(server), self.processed(server)), undisturbed)
+        return took_s
+
+    def afresh(self, name):
+        """A server with the site, and no spool."""
+        shutil.rmtree(self.folder / "spool", ignore_errors=True)
+        server = self.server(name)
+        self.make_site(server)
+        return server
+
+    def test_slow_silent_and_long_cut_links_lose_nothing(self):
+        undisturbed = self.undisturbed(SHORT)
+        frames = undisturbed[2]
+
+        with self.subTest("half a second away, 1 MB/s"):
+            server = self.afresh("slow")
+            link = self.link_to(server, delay_s=0.5, bytes_per_s=1e6)
+            agent = start(server, "soundmap-robot", "run", "--config", self.config(SHORT, link.address, speed=0))
+            self.finish_like(undisturbed, server, agent)
+            server.kill()
+
+        with self.subTest("a peer that vanishes without a word"):
+            server = self.afresh("silent")
+            link = self.link_to(server)
+            agent = start(server, "soundmap-robot", "run", "--config", self.config(SHORT, link.address, speed=1))
+            while self.processed(server) < 0.2 * frames:
+                self.assertIsNone(agent.poll())
+            link.freeze()
+            stopped_at = self.processed(server)
+            self.finish_like(undisturbed, server, agent)
+            self.assertLess(stopped_at, frames)
+            server.kill()
+
+        with self.subTest("cut for most of the drive"):
+            server = self.afresh("cut")
+            link = self.link_to(server)
+            agent = start(server, "soundmap-robot", "run", "--config", self.config(SHORT, link.address, speed=4))
+            while self.processed(server) < 0.1 * frames:
+                self.assertIsNone(agent.poll())
+            link.down()
+            while not any(session["ended"] for session in self.spooled()):
+                self.assertIsNone(agent.poll())
+            (session,) = self.spooled()
+            link.up()
+            took_s = self.finish_like(undisturbed, server, agent)
+            (drive,) = self.session_list(server)
+            backlog_s = session["waiting"] / frames * (drive["last_frame_time_ns"] - drive["first_frame_time_ns"]) * 1e-9
+            print(f"a backlog of {backlog_s:.1f} s was delivered in {took_s:.1f} s", file=sys.stderr)
+
+    def test_a_link_that_loses_every_fifth_packet(self):
+        libc = ctypes.CDLL(None, use_errno=True)
+        new_network = 0x40000000  # CLONE_NEWNET, of <sched.h>
+        home = os.open("/proc/self/ns/net", os.O_RDONLY)
+        self.addCleanup(os.close, home)
+        if libc.unshare(new_network) != 0:
+            self.skipTest(f"a network of its own is not allowed here: {os.strerror(ctypes.get_errno())}")
+        self.addCleanup(libc.setns, home, new_network)
+        subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+        undisturbed = self.undisturbed(SHORT)
+        server = self.afresh("lossy")
+        lossy = subprocess.run(["tc", "qdisc", "add", "dev", "lo", "root", "netem", "loss", "20%"], capture_output=True, text=True)
+        if lossy.returncode != 0:
+            self.skipTest(f"this kernel loses no packets on demand: {lossy.stderr.strip()}")
+        agent = start(server, "soundmap-robot", "run", "--config", self.config(SHORT, server.address))
+        self.finish_like(undisturbed, server, agent)
 
     def test_what_a_full_spool_dropped_is_shown_by_the_server(self):
         server = self.server()
