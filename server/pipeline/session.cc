@@ -618,11 +618,13 @@ void Session::Wake() {
   if (wake_) wake_();
 }
 
+void Session::AskToStop() {
+  std::lock_guard lock(mutex_);
+  stopping_ = true;
+}
+
 void Session::Stop() {
-  {
-    std::lock_guard lock(mutex_);
-    stopping_ = true;
-  }
+  AskToStop();
   std::promise<void> idle;
   boost::asio::post(strand_, [this, &idle] {
     retry_.cancel();

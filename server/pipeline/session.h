@@ -101,8 +101,10 @@ class Session : public std::enable_shared_from_this<Session> {
   // Goes on with the frames that are durable and had no effect yet. Once, after Open().
   void Resume();
 
-  // Processes nothing more; what is durable is processed after the next Open(). Returns when the
-  // strand is idle.
+  // Begins no further batch; what is durable is processed after the next Open(). Never waits, so
+  // that of many sessions none waits for the work of those that are not told yet.
+  void AskToStop();
+  // The same, and returns when the strand is idle.
   void Stop();
 
  private:

@@ -382,7 +382,9 @@ std::vector<RobotInfo> Site::Robots() const {
 }
 
 void Site::Stop(bool checkpoint) {
-  for (const std::shared_ptr<Session>& session : Sessions()) session->Stop();
+  const std::vector<std::shared_ptr<Session>> sessions = Sessions();
+  for (const std::shared_ptr<Session>& session : sessions) session->AskToStop();
+  for (const std::shared_ptr<Session>& session : sessions) session->Stop();
   if (checkpoint) region_->Checkpoint().IgnoreError();  // the journal has everything
 }
 

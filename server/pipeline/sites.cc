@@ -140,6 +140,9 @@ absl::Status Sites::Delete(const std::string& name) {
 
 void Sites::Stop() {
   if (group_commit_) group_commit_->Stop();
+  for (const std::shared_ptr<Site>& site : List()) {
+    for (const std::shared_ptr<Session>& session : site->Sessions()) session->AskToStop();
+  }
   std::promise<void> timer_stopped;
   boost::asio::post(timer_strand_, [this, &timer_stopped] {
     source_timer_.cancel();

@@ -78,6 +78,28 @@ class DurabilityTest(ProgramTest):
             self.assertTrue(server.alive())
         self.assertGreaterEqual(cut()["processed"], 0.7 * whole["processed"])
 
+    def test_sigterm_under_load(self):
+        """Robots at full speed, idle sessions and watchers: exits in time, and what it said to be durable is there."""
+        server = self.server("data", "--max-calls-per-s", "10000")
+        self.make_site(server)
+        crowd = start(server, "crowd", server.address, "site", "300", "50")
+        self.addCleanup(crowd.kill)
+        robots = [start(server, "soundmap-robot", *self.replay_arguments(DRIVE, robot=f"r{i}"), "--connect-timeout", "20") for i in range(4)]
+        while self.processed(server) < 400:
+            self.assertTrue(any(robot.poll() is None for robot in robots))
+        durable = {session["id"]: session["durable"] for session in self.session_list(server)}
+        self.assertEqual(server.stop(within_s=10), 0)
+        for robot in robots:
+            robot.terminate()
+            robot.communicate()
+        server = self.server()
+        received = {session["id"]: session["received"] for session in self.session_list(server)}
+        self.assertEqual([name for name in durable if received[name] < durable[name]], [])
+        for i in range(4):
+            self.replay(server, DRIVE, robot=f"r{i}")
+        driven = [session for session in self.session_list(server) if not session["robot"].split("/")[-1].startswith("idle")]
+        self.assertEqual(len({session["processed"] for session in driven}), 1, "each drove the same drive")
+
     def test_sigterm_in_the_middle_of_a_drive(self):
         server = self.server("undisturbed")
         self.make_site(server)
