@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <optional>
 #include <random>
@@ -398,4 +399,10 @@ int Main(int argc, char** argv) {
 }  // namespace
 }  // namespace soundmap
 
-int main(int argc, char** argv) { return soundmap::Main(argc, argv); }
+int main(int argc, char** argv) {
+  // While no call waits, gRPC looks after a connection in the making only so often, every 5 s
+  // without this: a robot whose network is back would wait for that, and for its own back-off
+  // again.
+  setenv("GRPC_CLIENT_CHANNEL_BACKUP_POLL_INTERVAL_MS", "200", /*overwrite=*/0);
+  return soundmap::Main(argc, argv);
+}

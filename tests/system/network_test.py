@@ -309,11 +309,17 @@ dir = "{self.folder / 'spool'}"
             self.skipTest(f"a network of its own is not allowed here: {os.strerror(ctypes.get_errno())}")
         self.addCleanup(libc.setns, home, new_network)
         subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+
+        def loss(change):
+            return subprocess.run(["tc", "qdisc", change, "dev", "lo", "root", "netem", "loss", "20%"], capture_output=True, text=True)
+
+        offered = loss("add")
+        if offered.returncode != 0:
+            self.skipTest(f"this kernel loses no packets on demand: {offered.stderr.strip()}")
+        loss("del")
         undisturbed = self.undisturbed(SHORT)
         server = self.afresh("lossy")
-        lossy = subprocess.run(["tc", "qdisc", "add", "dev", "lo", "root", "netem", "loss", "20%"], capture_output=True, text=True)
-        if lossy.returncode != 0:
-            self.skipTest(f"this kernel loses no packets on demand: {lossy.stderr.strip()}")
+        self.assertEqual(loss("add").returncode, 0)
         agent = start(server, "soundmap-robot", "run", "--config", self.config(SHORT, server.address))
         self.finish_like(undisturbed, server, agent)
 
