@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include "absl/strings/str_cat.h"
 #include "pipeline/events.h"
 
 namespace soundmap::pipeline {
@@ -10,8 +11,7 @@ namespace {
 constexpr std::int64_t kNow_ns = 1'700'000'000'000'000'000;
 
 LiveView Seen(double x_m, bool with_laser = false) {
-  LiveView view;
-  view.session = "d";
+  LiveView view{.session = std::string("d")};
   view.report.odometry = frames::Odometry{1, {x_m, 0.0, 0.0}};
   if (with_laser) view.report.laser = std::make_shared<frames::LaserScan>();
   return view;
@@ -95,13 +95,13 @@ TEST_F(LiveRobotsTest, EpochsKeepTheirOrderOverARestart) {
 
 TEST_F(LiveRobotsTest, KnowsABoundedNumberOfRobots) {
   for (int i = 0; i < 10'000; ++i) {
-    const std::string robot = "r" + std::to_string(i);
+    const std::string robot = absl::StrCat("r", i);
     const auto lease = robots_.Open(robot, 0, kNow_ns);
     ASSERT_TRUE(lease.ok());
     robots_.Close(robot, *lease);
   }
   int opened = 0;
-  while (robots_.Open("s" + std::to_string(opened), 0, kNow_ns).ok()) ++opened;
+  while (robots_.Open(absl::StrCat("s", opened), 0, kNow_ns).ok()) ++opened;
   EXPECT_EQ(opened, 4096);
   EXPECT_TRUE(absl::IsResourceExhausted(robots_.Open("one-more", 0, kNow_ns).status()));
   EXPECT_TRUE(robots_.Open("s7", 0, kNow_ns).ok());  // that is known
