@@ -157,12 +157,18 @@ void BeamPattern::BuildTable() {
   }
   if (!(samples * static_cast<double>(groups_.size()) <= kMaxLookups)) return;
 
-  std::vector<double> sample;
-  sample.reserve(static_cast<std::size_t>(samples));
+  // Row by row: PairByPair() of its samples, group by group.
+  std::vector<double> sample(static_cast<std::size_t>(samples), Incoherent());
+  const double per_pair = 2.0 / (static_cast<double>(microphones_) * microphones_);
+  double* row = sample.data();
   for (int i = begin[0]; i < begin[0] + length[0]; ++i) {
-    for (int j = begin[1]; j < begin[1] + length[1]; ++j) {
-      for (int k = begin[2]; k < begin[2] + length[2]; ++k) {
-        sample.push_back(PairByPair(direction_from_steps_ * Eigen::Vector3d(i, j, k)));
+    for (int j = begin[1]; j < begin[1] + length[1]; ++j, row += length[2]) {
+      const Eigen::Vector3d first = direction_from_steps_ * Eigen::Vector3d(i, j, begin[2]);
+      for (const PairGroup& group : groups_) {
+        const double start = group.delay_steps.dot(first);
+        const double step = group.delay_steps.dot(direction_from_steps_.col(2));
+        const double weight = per_pair * group.count;
+        for (int k = 0; k < length[2]; ++k) row[k] += weight * BandAt(start + k * step);
       }
     }
   }
@@ -183,17 +189,18 @@ void BeamPattern::BuildTable() {
   }
 }
 
+double BeamPattern::BandAt(double delay_steps) const {
+  const double position = std::abs(delay_steps);
+  const auto index = static_cast<std::size_t>(position);
+  if (index + 1 >= band_.size()) return BandSum(delay_steps * band_step_s_);
+  const double t = position - static_cast<double>(index);
+  return (1.0 - t) * band_[index] + t * band_[index + 1];
+}
+
 double BeamPattern::PairByPair(const Eigen::Vector3d& difference) const {
   double sum = 0.0;
   for (const PairGroup& group : groups_) {
-    const double position = std::abs(group.delay_steps.dot(difference));
-    const auto index = static_cast<std::size_t>(position);
-    if (index + 1 < band_.size()) {
-      const double t = position - static_cast<double>(index);
-      sum += group.count * ((1.0 - t) * band_[index] + t * band_[index + 1]);
-    } else {
-      sum += group.count * BandSum(group.delay_s.dot(difference));
-    }
+    sum += group.count * BandAt(group.delay_steps.dot(difference));
   }
   const double n = microphones_;
   return Incoherent() + 2.0 * sum / (n * n);

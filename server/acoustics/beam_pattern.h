@@ -78,7 +78,8 @@ class BeamPattern {
   void BuildBand();
   void BuildTable();
   double StepAlong(const Eigen::Vector3d& axis) const;
-  double BandSum(double delay_s) const;  // sum over the band of cos(2 pi f tau)
+  double BandSum(double delay_s) const;     // sum over the band of cos(2 pi f tau)
+  double BandAt(double delay_steps) const;  // the same, between the values of band_
   double PairByPair(const Eigen::Vector3d& difference) const;
   SplineTable table() const {
     return {table_.data(),

@@ -15,7 +15,7 @@ constexpr double kQuartileInSigmas = 0.6744897501960817;
 
 // Cells are so small that the power cannot fall from a maximum of the grid to less than half of it
 // (above the noise floor) at the centre of the maximum's cell.
-constexpr double kCellsPerResolution = 3.0;
+constexpr double kCellsPerResolution = 2.5;
 constexpr double kLeastAtCentre = 0.5;
 
 std::vector<Eigen::Vector3d> Pick(const geometry::DirectionGrid& grid, std::span<const int> which) {
