@@ -103,6 +103,24 @@ INSTANTIATE_TEST_SUITE_P(
                       ArrayCase{"SixtyFour16kHz", 16000, 64, 0.4, {1, 1, 1}, 1000, 3000}),
     [](const auto& info) { return info.param.name; });
 
+// Of many pairs with one difference vector each counts.
+TEST(BeamPattern, CountsEqualPairsOfARegularArray) {
+  std::mt19937_64 random(12);
+  const FrameLayout layout = FrameLayout::Create({}, 16000).value();
+  Microphones cube;
+  for (int corner = 0; corner < 8; ++corner) {
+    cube.emplace_back(0.2 * (corner & 1), 0.15 * (corner >> 1 & 1), 0.1 * (corner >> 2));
+  }
+  const BeamPattern beam(layout, kSpeedOfSound_mps, cube);
+  for (int trial = 0; trial < 200; ++trial) {
+    const Eigen::Vector3d source = RandomDirection(random);
+    const Eigen::Vector3d direction = RandomDirection(random);
+    EXPECT_NEAR(beam.ResponseAt(source, direction),
+                LiteralResponse(layout, cube, source, direction),
+                BeamPattern::kMaxError * layout.bins);
+  }
+}
+
 TEST(BeamPattern, KnowsWhatTheArrayCannotTellApart) {
   std::mt19937_64 random(8);
   const FrameLayout layout = FrameLayout::Create({}, 16000).value();
