@@ -204,6 +204,7 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   Peaks found = tables->finder->Find(scan);
   result.likelihood = tables->finder->Likelihood(found.peaks);
   result.noise_floor = found.noise_floor;
+  result.maxima = std::move(found.maxima);
   result.peaks = std::move(found.peaks);
   result.levels = tables->level->Levels(stft->newest_frame(), result.peaks);
   Done(Step::kEvidence);

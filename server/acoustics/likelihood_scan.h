@@ -29,6 +29,8 @@ struct LikelihoodScan {
   std::vector<float> likelihood;  // L(theta_i, phi_i, k), in the order of the grid
   double noise_floor = 0.0;       // of S; 0 where the profile does not estimate it
   std::vector<Peak> peaks;        // strongest first
+  // Where in the grid the whole power has local maxima, also those that are too low for a peak.
+  std::vector<int> maxima;
   // What the strongest of them bring to the array, in their order; see PeakLevel. One frame of the
   // scan: take means.
   std::vector<frames::BandPowers> levels;

@@ -7,6 +7,8 @@
 #include <cmath>
 #include <iterator>
 
+#include "geometry/angles.h"
+
 namespace soundmap::acoustics {
 namespace {
 
@@ -17,6 +19,10 @@ constexpr double kQuartileInSigmas = 0.6744897501960817;
 // (above the noise floor) at the centre of the maximum's cell.
 constexpr double kCellsPerResolution = 2.5;
 constexpr double kLeastAtCentre = 0.5;
+
+// Peaks::maxima.
+constexpr double kMaximumSpreads = 2.5;
+const double kMaximumRadius_rad = geometry::RadFromDeg(5.0);
 
 std::vector<Eigen::Vector3d> Pick(const geometry::DirectionGrid& grid, std::span<const int> which) {
   std::vector<Eigen::Vector3d> directions;
@@ -36,7 +42,17 @@ PeakFinder::PeakFinder(const PeakEvidence& evidence, const FrameLayout& layout,
       beam_(layout, speed_of_sound_mps, mic_in_array_m),
       cells_(srp_->grid(), beam_.resolution_rad() / kCellsPerResolution),
       centres_(beam_.Prepare(Pick(srp_->grid(), cells_.centres()))),
-      members_(beam_.Prepare(Pick(srp_->grid(), cells_.members()))) {}
+      members_(beam_.Prepare(Pick(srp_->grid(), cells_.members()))) {
+  const geometry::DirectionGrid& grid = srp_->grid();
+  const double near = std::cos(kMaximumRadius_rad);
+  for (int i = 0; i < grid.size(); ++i) {
+    first_neighbour_.push_back(static_cast<int>(neighbours_.size()));
+    cells_.VisitAround(grid[i], kMaximumRadius_rad, [&](int j) {
+      if (j != i && grid[i].dot(grid[j]) >= near) neighbours_.push_back(j);
+    });
+  }
+  first_neighbour_.push_back(static_cast<int>(neighbours_.size()));
+}
 
 double PeakFinder::ResidualAt(const AudioScan& scan, std::span<const Removed> removed,
                               const Eigen::Vector3d& direction) const {
@@ -172,6 +188,20 @@ PeakFinder::Background PeakFinder::BackgroundOf(std::span<const float> residual)
   return {median, (median - at_rank((residual.size() - 1) / 4)) / kQuartileInSigmas};
 }
 
+std::vector<int> PeakFinder::MaximaOf(const AudioScan& scan, const Background& background) const {
+  const auto least = static_cast<float>(background.floor + kMaximumSpreads * background.spread);
+  std::vector<int> maxima;
+  for (int i = 0; i < srp_->grid().size(); ++i) {
+    const float power = scan.power[i];
+    if (power > least && std::none_of(neighbours_.begin() + first_neighbour_[i],
+                                      neighbours_.begin() + first_neighbour_[i + 1],
+                                      [&](int j) { return scan.power[j] > power; })) {
+      maxima.push_back(i);
+    }
+  }
+  return maxima;
+}
+
 bool PeakFinder::Covers(const Eigen::Vector3d& direction) const {
   const geometry::DirectionGrid& grid = srp_->grid();
   const double near = std::cos(grid.spacing_rad());
@@ -191,6 +221,7 @@ Peaks PeakFinder::Find(const AudioScan& scan) const {
     residual[cell] = scan.power[cells_.centres()[cell]];
   }
   Background background = BackgroundOf(residual);
+  found.maxima = MaximaOf(scan, background);
   std::vector<Removed> removed;
   while (static_cast<int>(removed.size()) < evidence_.max_peaks) {
     const Maximum largest = Largest(scan, removed, residual, background.floor, least_height);

@@ -18,6 +18,9 @@ struct Peaks {
   double spread = 0.0;
   // Strongest first. `power` is S at the peak less the responses of the peaks found before it.
   std::vector<Peak> peaks;
+  // Indices in the grid: local maxima of S as it is, 2.5 spreads or more above its noise floor.
+  // Single ones say nothing; which places they come again from does.
+  std::vector<int> maxima;
 };
 
 // Peak removal with the known beam: the largest power above the threshold is a source; a plane
@@ -71,6 +74,7 @@ class PeakFinder {
   Maximum LargestOf(const AudioScan& scan, std::span<const Removed> removed, int cell) const;
   void AddFaint(const AudioScan& scan, std::span<const Removed> removed,
                 std::span<const float> residual, const Background& background, Peaks& found) const;
+  std::vector<int> MaximaOf(const AudioScan& scan, const Background& background) const;
   // Of several directions that the array cannot tell apart always the same one.
   Eigen::Vector3d Reported(const Eigen::Vector3d& direction) const;
   Background BackgroundOf(std::span<const float> residual) const;
@@ -82,6 +86,9 @@ class PeakFinder {
   DirectionCells cells_;
   BeamPattern::Places centres_;
   BeamPattern::Places members_;
+  // Directions of the grid near direction i: [first_neighbour_[i], first_neighbour_[i + 1]).
+  std::vector<int> neighbours_;
+  std::vector<int> first_neighbour_;
 };
 
 }  // namespace soundmap::acoustics

@@ -10,8 +10,8 @@ namespace boost::serialization {
 template <class Archive>
 void serialize(Archive& archive, soundmap::sound_map::SoundSource& source, unsigned) {
   archive& source.id& source.position_in_map_m& source.extent_m& source.probability& source
-      .evidence_count& source.voxel_count& source.peak_log_odds& source.first_heard_ns& source
-      .last_heard_ns;
+      .evidence& source.evidence_count& source.voxel_count& source.peak_log_odds& source
+      .first_heard_ns& source.last_heard_ns;
 }
 
 template <class Archive>
@@ -36,10 +36,16 @@ void serialize(Archive& archive, soundmap::sound_map::RegisteredSource& source, 
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::SourceRegister::View& view, unsigned) {
+  archive& view.begin_in_map_m& view.scans& view.with_maximum;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::sound_map::SourceRegister::Track& track, unsigned) {
   archive& track.source& track.judged_ns& track.log_odds_on& track.found_ns& track
       .active_until_ns& track.left& track.listened_scans& track.heard_scans& track.sure_scans& track
-      .silent_s& track.announced& track.position_scans& track.mean_in_map_m& track.scatter_m2;
+      .silent_s& track.announced& track.position_scans& track.mean_in_map_m& track.scatter_m2& track
+      .views& track.past_views& track.past_views_heard;
 }
 
 template <class Archive>
@@ -52,7 +58,7 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& sta
 namespace soundmap::pipeline {
 namespace {
 
-constexpr std::uint32_t kSourceRegisterVersion = 1;
+constexpr std::uint32_t kSourceRegisterVersion = 2;
 // Entries from before levels were measured have none, and begin with the length of a name.
 constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0002;
 

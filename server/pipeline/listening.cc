@@ -123,7 +123,7 @@ constexpr std::size_t kMaxPendingScans = 64;
 constexpr frames::TimeNs kNewScanAge_ns = 5'000'000'000;
 
 // SaveState()'s bytes: a later layout has another number.
-constexpr std::uint64_t kStateVersion = 0x534d'4c02;
+constexpr std::uint64_t kStateVersion = 0x534d'4c03;
 
 // A peak lies where a ray through it ends; neighbouring rays end in one voxel or the next.
 const double kMinPeakCosine = std::cos(geometry::RadFromDeg(5.0));

@@ -336,6 +336,7 @@ void VisitSoundMap(Visitor& v, sound_map::SoundMapConfig& c) {
   v("background_share", c.sources.background_share);
   v("even_evidence", c.sources.even_evidence);
   v("evidence_power", c.sources.evidence_power);
+  v("judge_by_views", c.sources.judge_by_views);
   v("separation_m", c.sources.separation_m);
   v("masking_radius_m", c.sources.masking_radius_m);
   v("masking_share", c.sources.masking_share);

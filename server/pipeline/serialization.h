@@ -48,7 +48,7 @@ void serialize(Archive& archive, soundmap::acoustics::Peak& peak, unsigned) {
 template <class Archive>
 void serialize(Archive& archive, soundmap::acoustics::LikelihoodScan& scan, unsigned) {
   archive& scan.begin_ns& scan.end_ns& scan.fault& scan.likelihood& scan.noise_floor& scan
-      .peaks& scan.levels;
+      .peaks& scan.maxima& scan.levels;
 }
 
 template <class Archive>

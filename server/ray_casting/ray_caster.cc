@@ -143,6 +143,12 @@ absl::StatusOr<sound_map::EvidenceScan> RayCaster::Cast(
                                                    likelihood.likelihood.size(),
                                                    " directions, not ", directions_.size()));
   }
+  for (const int i : likelihood.maxima) {
+    if (i < 0 || i >= directions_.size()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "the likelihood scan has a maximum in direction ", i, " of ", directions_.size()));
+    }
+  }
   const geometry::Pose2& map_from_base = pose.map_from_base;
   if (!std::isfinite(map_from_base.x_m) || !std::isfinite(map_from_base.y_m) ||
       !std::isfinite(map_from_base.yaw_rad) ||
@@ -176,6 +182,9 @@ absl::StatusOr<sound_map::EvidenceScan> RayCaster::Cast(
     } else {
       evidence.end_points.push_back({VoxelFrom(keys[i]), likelihood.likelihood[i]});
     }
+  }
+  for (const int i : likelihood.maxima) {
+    if (keys[i] != kNoKey) evidence.maxima.push_back(VoxelFrom(keys[i]));
   }
   return evidence;
 }

@@ -89,6 +89,7 @@ SoundMapConfig PaperConfig() {
   config.max_log_odds = 40.0;
   config.sources.method = SourceMethod::kKMeans;
   config.sources.min_updates = 0;
+  config.sources.judge_by_views = false;
   return config;
 }
 

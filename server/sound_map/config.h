@@ -41,6 +41,8 @@ struct SoundSourceConfig {
   // 23 simulated rooms.
   double even_evidence = 70.0;
   double evidence_power = 1.6;
+  // Whether the source register judges by how many views heard a place, too; see source_register.h
+  bool judge_by_views = true;
   double separation_m = 0.50;  // two sources are at least this far apart
   double masking_radius_m =
       1.2;  // nearer than this to a source, smears and reflections of it are expected:

@@ -20,6 +20,9 @@ struct EndPoint {
 struct EvidenceScan {
   frames::TimeNs stamp_ns = 0;  // t_k: capture time of the middle of the scan
   std::vector<EndPoint> end_points;
+  // Where the local maxima of the scan's power end: for the source register alone, the voxels are
+  // not told. Empty: not known.
+  std::vector<geometry::VoxelKey> maxima;
 
   bool operator==(const EvidenceScan&) const = default;
 };

@@ -263,6 +263,7 @@ std::vector<SoundSource> SourceFinder::FindBySmoothPeaks(const Snapshot& snapsho
     SoundSource source;
     source.position_in_map_m = core.position_in_map_m;
     source.probability = ProbabilityOf(candidate.evidence, config_);
+    source.evidence = candidate.evidence;
     Describe(core.voxels, core.weights, field_.voxel_size_m(), source);
     if (source.evidence_count >= config_.min_evidence) sources.push_back(source);
   }

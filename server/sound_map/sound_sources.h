@@ -18,6 +18,7 @@ struct SoundSource {
   Eigen::Vector3d position_in_map_m = Eigen::Vector3d::Zero();
   double extent_m = 0.0;             // edge of the square that spreads as far as its voxels do
   double probability = 0.0;          // that there is a source here
+  double evidence = 0.0;             // e below; 0 by kKMeans
   std::uint64_t evidence_count = 0;  // supporting observations of its voxels
   int voxel_count = 0;
   float peak_log_odds = 0.0f;  // largest L of its voxels

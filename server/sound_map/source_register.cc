@@ -33,6 +33,25 @@ constexpr frames::TimeNs kLate_ns = 10'000'000'000;
 constexpr double kMaxPause_s = 1.0;
 
 constexpr std::size_t kMaxViewPoints = 64;
+
+// A scan has a maximum at a source that is so near.
+constexpr double kAtMaximum_m = 0.2;
+// A view hears a source in this share of its scans at least.
+constexpr double kLeastHeard = 0.1;
+// The odds with views.
+constexpr double kLogOddsBefore = -3.9;
+constexpr double kEvidencePower = 0.36;
+constexpr double kHeardViewsPower = 2.94;
+constexpr double kViewsPower = 0.53;
+constexpr double kMaxEvidence = 1000.0;
+// More past views are halved.
+constexpr double kMaxPastViews = 32.0;
+// Robots whose present views are told apart.
+constexpr std::size_t kMaxPresentViews = 16;
+
+bool Heard(const SourceRegister::View& view) {
+  return view.with_maximum > 0 && view.with_maximum >= kLeastHeard * view.scans;
+}
 constexpr std::size_t kMaxGone = 256;
 
 // A source that has moved: how far at most, and how long after it was heard for the last time it is
@@ -115,6 +134,15 @@ void SourceRegister::Observe(const Observation& scan) {
       if (nearest >= 0 && hits_[nearest].peak == nullptr) hits_[nearest].peak = &peak;
     }
   }
+  for (const geometry::VoxelKey& key : scan.evidence->maxima) {
+    const Eigen::Vector3d maximum = geometry::PointFromKey(key, config_.voxel_size_m);
+    for (const int i : touched_) {
+      const Eigen::Vector3d& place = state_.tracks[i].source.found.position_in_map_m;
+      if ((place - maximum).squaredNorm() < kAtMaximum_m * kAtMaximum_m) {
+        hits_[i].at_maximum = true;
+      }
+    }
+  }
   for (const int i : touched_) Listen(state_.tracks[i], std::exchange(hits_[i], {}), scan);
   touched_.clear();
 }
@@ -122,6 +150,9 @@ void SourceRegister::Observe(const Observation& scan) {
 void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& scan) {
   const frames::TimeNs stamp_ns = scan.evidence->stamp_ns;
   RegisteredSource& source = track.source;
+  if (!scan.evidence->maxima.empty() && source.state == SourceState::kActive) {
+    See(track, hit.at_maximum, scan);
+  }
   const bool heard = hit.supporting > 0;
   const double pause_s =
       std::clamp(frames::SecondsFromNs(stamp_ns - source.last_listened_ns), 0.0, kMaxPause_s);
@@ -165,6 +196,49 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
   const Eigen::Matrix3d scatter_m2 = 0.5 * (track.scatter_m2 + track.scatter_m2.transpose());
   source.position_covariance_m2 = scatter_m2 / (static_cast<double>(track.position_scans) * views) +
                                   voxel_m2 * Eigen::Matrix3d::Identity();
+}
+
+void SourceRegister::See(Track& track, bool at_maximum, const Observation& scan) const {
+  const auto end = [&track](const View& view) {
+    if (track.past_views >= kMaxPastViews) {
+      track.past_views /= 2.0;
+      track.past_views_heard /= 2.0;
+    }
+    track.past_views += 1.0;
+    if (Heard(view)) track.past_views_heard += 1.0;
+  };
+  auto present = track.views.find(scan.robot);
+  if (present != track.views.end() &&
+      (present->second.begin_in_map_m - scan.robot_in_map_m).norm() >=
+          config_.sources.view_point_spacing_m) {
+    end(present->second);
+    track.views.erase(present);
+    present = track.views.end();
+  }
+  if (present == track.views.end()) {
+    if (track.views.size() >= kMaxPresentViews) {
+      end(track.views.begin()->second);
+      track.views.erase(track.views.begin());
+    }
+    present = track.views.emplace(scan.robot, View{scan.robot_in_map_m}).first;
+  }
+  ++present->second.scans;
+  if (at_maximum) ++present->second.with_maximum;
+}
+
+double SourceRegister::ProbabilityOf(const Track& track) const {
+  const SoundSource& found = track.source.found;
+  const double views = track.past_views + static_cast<double>(track.views.size());
+  if (!config_.sources.judge_by_views || views == 0.0 || !(found.evidence > 0.0)) {
+    return found.probability;
+  }
+  const auto heard = static_cast<double>(std::count_if(
+      track.views.begin(), track.views.end(), [](const auto& view) { return Heard(view.second); }));
+  const double log_odds = kLogOddsBefore +
+                          kEvidencePower * std::log(std::min(found.evidence, kMaxEvidence)) +
+                          kHeardViewsPower * std::log(track.past_views_heard + heard + 1.0) -
+                          kViewsPower * std::log(views + 1.0);
+  return ProbabilityFromLogOdds(log_odds);
 }
 
 void SourceRegister::JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns) {
@@ -248,6 +322,7 @@ void SourceRegister::Join(const std::vector<SoundSource>& found, std::vector<Sou
     if (tracks[t].source.state != SourceState::kActive) continue;
     const SoundSource before = std::exchange(known, found[f]);
     known.id = before.id;
+    known.probability = ProbabilityOf(tracks[t]);
     known.first_heard_ns = std::min(known.first_heard_ns, before.first_heard_ns);
     known.last_heard_ns = std::max(known.last_heard_ns, before.last_heard_ns);
     if (known.probability < kAnnounceProbability) tracks[t].sure_scans = 0;

@@ -34,6 +34,14 @@ struct SourceEvent {
 // is merged into one that was found within separation_m of it (within masking_radius_m, if it is
 // active); kept, if it was sure for kSureScans from two view points; and forgotten otherwise.
 //
+// A ghost is heard from some places and not from others, a source from wherever it is in view. A
+// robot's view begins anew when it has moved on by view_point_spacing_m, and hears a source if a
+// tenth of its scans have a local maximum of the power there. If h of the n views since the source
+// was first found heard it, and its evidence is e, the odds that it is one are
+//   exp(-3.9) e^0.36 (h + 1)^2.94 / (n + 1)^0.53,
+// by logistic regression over 492 candidates of 53 simulated rooms. Old views are forgotten, and e
+// counts up to 1000, so that a ghost does not become sure with time.
+//
 // A scan listens to a source if it has an end point within core_radius_m of it, and hears it if one
 // of these supports a source. Silence counts only near where robots have heard the source before:
 // the share of such scans that heard it while active, against that which hear something at a silent
@@ -62,6 +70,12 @@ class SourceRegister {
   // The most probable first, then by id.
   std::vector<RegisteredSource> Sources() const;
 
+  // How often a robot listened from about one place.
+  struct View {
+    Eigen::Vector2d begin_in_map_m = Eigen::Vector2d::Zero();
+    int scans = 0;
+    int with_maximum = 0;
+  };
   // What is known of one place.
   struct Track {
     RegisteredSource source;
@@ -78,6 +92,9 @@ class SourceRegister {
     std::int64_t position_scans = 0;     // that `scatter_m2` is of
     Eigen::Vector3d mean_in_map_m = Eigen::Vector3d::Zero();
     Eigen::Matrix3d scatter_m2 = Eigen::Matrix3d::Zero();
+    std::map<std::string, View> views;  // present ones, by robot
+    double past_views = 0.0;            // old ones are forgotten
+    double past_views_heard = 0.0;
   };
   // All that the future depends on.
   struct State {
@@ -94,10 +111,13 @@ class SourceRegister {
     int supporting = 0;
     const HeardPeak* peak = nullptr;                         // nearest to the source
     Eigen::Vector3d sum_in_map_m = Eigen::Vector3d::Zero();  // of the supporting ones
+    bool at_maximum = false;
   };
 
   bool IsSure(const Track& track) const;
   void Listen(Track& track, const Hit& hit, const Observation& scan);
+  void See(Track& track, bool at_maximum, const Observation& scan) const;
+  double ProbabilityOf(const Track& track) const;
   void JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns);
   void MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events) const;
   void Join(const std::vector<SoundSource>& found, std::vector<SourceEvent>& events);

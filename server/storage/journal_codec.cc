@@ -20,8 +20,10 @@ namespace {
 using geometry::VoxelKey;
 using sound_map::EndPoint;
 
-constexpr char kVersion = 1;
+constexpr char kVersion = 2;
+constexpr char kVersionWithoutMaxima = 1;
 constexpr std::size_t kMaxEndPoints = 1 << 20;
+constexpr std::size_t kMaxMaxima = 1 << 16;
 constexpr std::size_t kMaxSummaryBytes = 64 << 10;
 constexpr std::size_t kMaxNameBytes = 63;
 constexpr int kZstdLevel = 1;
@@ -50,6 +52,18 @@ std::uint16_t ZigZagDifference(std::uint16_t value, std::uint16_t predicted) {
 
 int ZigZagBits(std::uint16_t value, std::uint16_t predicted) {
   return static_cast<int>(std::bit_width(ZigZagDifference(value, predicted)));
+}
+
+// Each by its difference from the one before.
+void AppendMaxima(const std::vector<VoxelKey>& maxima, std::string* out) {
+  AppendVarint(maxima.size(), out);
+  VoxelKey last = kCentreKey;
+  for (const VoxelKey& key : maxima) {
+    for (const auto axis : {&VoxelKey::x, &VoxelKey::y, &VoxelKey::z}) {
+      AppendVarint(ZigZagDifference(key.*axis, last.*axis), out);
+    }
+    last = key;
+  }
 }
 
 // The lag whose differences take the fewest bits, judged by a part of the end points.
@@ -202,6 +216,22 @@ absl::Status Damaged(absl::string_view what) {
   return absl::DataLossError(absl::StrCat("a journal entry is damaged: ", what));
 }
 
+absl::Status TakeMaxima(ByteSource& source, std::vector<VoxelKey>* maxima) {
+  const std::uint64_t count = source.TakeVarint();
+  if (count > kMaxMaxima) return Damaged("it has too many maxima");
+  VoxelKey last = kCentreKey;
+  for (std::uint64_t i = 0; i < count; ++i) {
+    for (const auto axis : {&VoxelKey::x, &VoxelKey::y, &VoxelKey::z}) {
+      const std::uint64_t difference = source.TakeVarint();
+      if (!source.ok()) return Damaged("it ends early");
+      if (difference > 0xffff) return Damaged("a difference of keys is beyond 16 bits");
+      last.*axis = static_cast<std::uint16_t>(last.*axis + UnZigZag(difference));
+    }
+    maxima->push_back(last);
+  }
+  return absl::OkStatus();
+}
+
 absl::Status DecodeBlock(std::string_view block, std::size_t count, std::vector<EndPoint>* points) {
   ByteSource source(block);
   const std::uint64_t lag = source.TakeVarint();
@@ -255,6 +285,10 @@ absl::StatusOr<std::string> EncodeJournalEntry(const std::string& session,
                                                    entry.summary.size(), " bytes, more than ",
                                                    kMaxSummaryBytes));
   }
+  if (entry.evidence.maxima.size() > kMaxMaxima) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "an audio scan with ", entry.evidence.maxima.size(), " maxima has more than ", kMaxMaxima));
+  }
   std::string value(1, kVersion);
   AppendVarint(session.size(), &value);
   value += session;
@@ -262,6 +296,7 @@ absl::StatusOr<std::string> EncodeJournalEntry(const std::string& session,
   AppendVarint(ZigZag(entry.evidence.stamp_ns), &value);
   AppendVarint(entry.summary.size(), &value);
   value += entry.summary;
+  AppendMaxima(entry.evidence.maxima, &value);
   AppendVarint(points.size(), &value);
   if (points.empty()) return value;
 
@@ -286,7 +321,7 @@ absl::Status DecodeJournalEntry(std::string_view bytes, JournalRecord* record) {
   ByteSource source(bytes);
   const std::string_view version = source.Take(1);
   if (!source.ok()) return Damaged("it is empty");
-  if (version[0] != kVersion) {
+  if (version[0] != kVersion && version[0] != kVersionWithoutMaxima) {
     return absl::DataLossError(absl::StrCat("a journal entry has version ",
                                             static_cast<unsigned char>(version[0]),
                                             ", which is unknown"));
@@ -296,6 +331,11 @@ absl::Status DecodeJournalEntry(std::string_view bytes, JournalRecord* record) {
   entry.offset = UnZigZag(source.TakeVarint());
   entry.evidence.stamp_ns = UnZigZag(source.TakeVarint());
   const std::string_view summary = source.Take(source.TakeVarint());
+  entry.evidence.maxima.clear();
+  if (version[0] != kVersionWithoutMaxima) {
+    const absl::Status taken = TakeMaxima(source, &entry.evidence.maxima);
+    if (!taken.ok()) return taken;
+  }
   const std::uint64_t count = source.TakeVarint();
   if (!source.ok()) return Damaged("it ends early");
   if (session.size() > kMaxNameBytes || summary.size() > kMaxSummaryBytes ||

@@ -20,6 +20,7 @@
 #include "recording/drive.h"
 #include "recording/reader.h"
 #include "sound_map/sound_map.h"
+#include "sound_map/source_register.h"
 #include "sources/simulation/random_scene.h"
 #include "sources/simulation/simulate.h"
 
@@ -217,6 +218,8 @@ absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& pro
   if (!map.ok()) return map.status();
 
   TrialResult result;
+  sound_map::SourceRegister sources(profile.sound_map);
+  sound_map::SourceFinder finder(profile.sound_map.sources);
   std::int64_t peaks = 0;
   std::vector<PoseEstimate> path;
   const auto take = [&](pipeline::Listening::Output& output) -> absl::Status {
@@ -225,6 +228,9 @@ absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& pro
       ++result.scans;
       const absl::Status applied = (*map)->Apply(scan.evidence);
       if (!applied.ok()) return applied;
+      const geometry::Pose2& pose = scan.pose.map_from_base;
+      sources.Observe({"robot", {pose.x_m, pose.y_m}, &scan.evidence, &scan.heard});
+      if (sources.due()) sources.Update(finder.Find((*map)->Present()));
     }
     for (const auto& pose : output.path) {
       const geometry::Pose2& p = pose.map_from_base;
@@ -255,9 +261,12 @@ absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& pro
     result.pose_error_m = pose->error_mean_m;
   }
 
-  result.found = sound_map::FindSoundSources(*(*map)->TakeSnapshot(), profile.sound_map.sources);
+  if (sources.pending()) sources.Update(finder.Find((*map)->Present()));
+  for (const sound_map::RegisteredSource& source : sources.Sources()) {
+    if (source.state != sound_map::SourceState::kGone) result.found.push_back(source);
+  }
   std::vector<SoundSource> reported;
-  for (const auto& source : result.found) reported.push_back(ToReported(source));
+  for (const auto& source : result.found) reported.push_back(ToReported(source.found));
   const std::vector<cli::TrueSource>& truth = trial.scene.sources;
   const auto in_view = cli::SourcesInView(
       trial.scene, cli::ArrayPath(trial.truth.map_from_base, *trial.truth.array_in_base_m),

@@ -13,7 +13,7 @@
 #include "cli/truth_file.h"
 #include "frames/frames.h"
 #include "pipeline/profile.h"
-#include "sound_map/sound_sources.h"
+#include "sound_map/registered_source.h"
 
 // Drives with truth, straight through the pipeline in this process, and how far what it found is
 // from what is true.
@@ -62,7 +62,7 @@ struct TrialResult {
   std::vector<SourceResult> sources;
   int false_count = 0;
   std::vector<cli::Candidate> candidates;
-  std::vector<sound_map::SoundSource> found;
+  std::vector<sound_map::RegisteredSource> found;
   std::vector<std::string> warnings;
   std::int64_t scans = 0;
   double peaks_per_scan = 0.0;

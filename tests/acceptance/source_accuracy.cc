@@ -56,7 +56,8 @@ void Print(const Trial& trial, const TrialResult& result, bool details) {
                   source.kind.c_str(), source.level, source.in_view ? "" : "out of view",
                   source.error_m ? absl::StrCat(*source.error_m).c_str() : "missed");
     }
-    for (const auto& source : result.found) {
+    for (const sound_map::RegisteredSource& registered : result.found) {
+      const sound_map::SoundSource& source = registered.found;
       if (source.probability < 0.05) continue;
       const Eigen::Vector3d& p = source.position_in_map_m;
       double nearest_m = 1e9;

@@ -131,6 +131,26 @@ class PlainPeaks {
   std::vector<int> sample_;
 };
 
+// Every direction that no other within 5 degrees surpasses, 2.5 spreads or more above the median of
+// the whole power.
+std::vector<int> PlainMaxima(const AudioScan& scan, const DirectionGrid& grid,
+                             const std::vector<int>& sample) {
+  std::vector<double> sorted;
+  for (const int i : sample) sorted.push_back(scan.power[i]);
+  std::sort(sorted.begin(), sorted.end());
+  const double median = sorted[(sorted.size() - 1) / 2];
+  const double spread = (median - sorted[(sorted.size() - 1) / 4]) / 0.6744897501960817;
+  std::vector<int> maxima;
+  for (int i = 0; i < grid.size(); ++i) {
+    bool largest = scan.power[i] > median + 2.5 * spread;
+    for (int j = 0; j < grid.size() && largest; ++j) {
+      largest = scan.power[j] <= scan.power[i] || AngleBetween_deg(grid[i], grid[j]) > 5.0;
+    }
+    if (largest) maxima.push_back(i);
+  }
+  return maxima;
+}
+
 // Random arrays from 4 to 64 microphones, in a plane or in space; one to four waves, weak ones
 // beside strong ones.
 TEST(PeakFinder, FindsWhatPlainPeakRemovalFinds) {
@@ -164,6 +184,7 @@ TEST(PeakFinder, FindsWhatPlainPeakRemovalFinds) {
     const Peaks found = finder.Find(scan);
     const Peaks expected = PlainPeaks(layout, microphones, *srp, finder.sample())
                                .Find(scan, evidence, finder.beam().IncoherentSpread());
+    EXPECT_EQ(found.maxima, PlainMaxima(scan, grid, finder.sample()));
     ASSERT_EQ(found.peaks.size(), expected.peaks.size());
     EXPECT_NEAR(found.noise_floor, expected.noise_floor, 1e-3 * layout.bins);
     EXPECT_NEAR(found.spread, expected.spread, 1e-3 * layout.bins);

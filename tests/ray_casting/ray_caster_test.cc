@@ -82,12 +82,14 @@ TEST(RayCaster, ASourceOffTheAxesLandsInItsVoxel) {
     if (grid[i].dot(to_source_in_array) > grid[nearest].dot(to_source_in_array)) nearest = i;
   }
   likelihood.likelihood[nearest] = 0.9f;
+  likelihood.maxima = {nearest};
 
   const auto caster = RayCaster::Create(PaperConfig(), grid, base_from_array).value();
   LidarView lidar{kMid_ns - 200'000'000, point_in_base,
                   map_from_lidar_base.inverse() * map_from_audio_base};
   const auto evidence = caster.Cast(likelihood, lidar, PoseAt(1.3, 2.4, 37.0)).value();
   EXPECT_EQ(evidence.stamp_ns, kMid_ns);
+  ASSERT_EQ(evidence.maxima.size(), 1u);
   int speaking = 0;
   for (const auto& end_point : evidence.end_points) {
     const Eigen::Vector3d voxel_in_map = geometry::PointFromKey(end_point.key, 0.05);
@@ -96,6 +98,7 @@ TEST(RayCaster, ASourceOffTheAxesLandsInItsVoxel) {
     EXPECT_LT(voxel_in_map.z(), 2.3 + 0.25);
     if (end_point.likelihood < 0.5f) continue;
     ++speaking;
+    EXPECT_EQ(end_point.key, evidence.maxima[0]);
     // 1 degree of grid at 2.9 m, and half a voxel's diagonal.
     EXPECT_LT((voxel_in_map - source_in_map).norm(), 2.9 * RadFromDeg(1.0) + 0.05)
         << voxel_in_map.transpose();

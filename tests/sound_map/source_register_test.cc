@@ -354,6 +354,83 @@ SoundSource Found(std::uint64_t id, double x_m, double probability, frames::Time
   return source;
 }
 
+// A robot drives past two places that have the same evidence. One is heard from everywhere, the
+// other from two of its views: the odds of both in closed form.
+TEST(SourceRegister, WhatIsHeardFromEveryViewIsASourceAndWhatIsHeardFromFewIsNot) {
+  constexpr double kEvidence = 150.0;
+  constexpr double kSourceX_m = 4.0;
+  constexpr double kGhostX_m = 6.0;
+  SourceRegister sources(DefaultConfig());
+  const auto key_at = [](double x_m) {
+    return *geometry::KeyFromPoint(Eigen::Vector3d(x_m, 1.0, 2.7), kVoxel_m);
+  };
+  const auto find = [&] {
+    std::vector<SoundSource> found = {Found(1, kSourceX_m, 0.6, 100), Found(2, kGhostX_m, 0.6, 90)};
+    for (SoundSource& source : found) source.evidence = kEvidence;
+    sources.Update(found);
+    return sources.Sources();
+  };
+  EXPECT_EQ(find()[0].found.probability, 0.6);  // by its evidence alone
+  constexpr int kViews = 10;
+  for (int scan = 0; scan < 8 * kViews; ++scan) {
+    EvidenceScan evidence;
+    evidence.stamp_ns = 200 + scan * kScan_ns;
+    evidence.end_points = {{key_at(kSourceX_m), 0.4f}, {key_at(kGhostX_m), 0.4f}};
+    evidence.maxima = {key_at(9.0)};
+    // Every eighth scan is enough for a view; 0.1 m beside the place is near enough, 0.3 m is not.
+    if (scan % 8 == 3) evidence.maxima.push_back(key_at(kSourceX_m + 0.1));
+    evidence.maxima.push_back(key_at(scan < 16 ? kGhostX_m : kGhostX_m + 0.3));
+    // Eight scans to a metre.
+    sources.Observe({"r1", Eigen::Vector2d(0.125 * scan, 2.0), &evidence});
+  }
+  const auto odds = [](double views, double heard) {
+    return std::exp(-3.9) * std::pow(kEvidence, 0.36) * std::pow(heard + 1.0, 2.94) /
+           std::pow(views + 1.0, 0.53);
+  };
+  const std::vector<RegisteredSource> judged = find();
+  ASSERT_EQ(judged.size(), 2u);
+  EXPECT_EQ(judged[0].found.id, 1u);
+  EXPECT_NEAR(judged[0].found.probability, 1.0 - 1.0 / (1.0 + odds(kViews, kViews)), 1e-9);
+  EXPECT_NEAR(judged[1].found.probability, 1.0 - 1.0 / (1.0 + odds(kViews, 2)), 1e-9);
+  EXPECT_GT(judged[0].found.probability, 0.95);
+  EXPECT_LT(judged[1].found.probability, 0.5);
+}
+
+// One that stands still has one view, and two that drive apart have each their own.
+TEST(SourceRegister, ARobotThatStandsStillHasOneView) {
+  const auto key = *geometry::KeyFromPoint(Eigen::Vector3d(4.0, 1.0, 2.7), kVoxel_m);
+  const auto after = [&](int scans, const std::vector<std::string>& robots) {
+    SourceRegister sources(DefaultConfig());
+    std::vector<SoundSource> found = {Found(1, 4.0, 0.6, 100)};
+    found[0].evidence = 150.0;
+    sources.Update(found);
+    for (int scan = 0; scan < scans; ++scan) {
+      EvidenceScan evidence{200 + scan * kScan_ns, {{key, 0.4f}}, {key}};
+      sources.Observe({robots[scan % robots.size()], Eigen::Vector2d(1.0, 2.0), &evidence});
+    }
+    sources.Update(found);
+    return sources.Sources()[0].found.probability;
+  };
+  EXPECT_EQ(after(1, {"r1"}), after(1000, {"r1"}));
+  EXPECT_GT(after(8, {"r1", "r2"}), after(8, {"r1"}));
+  EXPECT_LT(after(1000, {"r1"}), 0.7);
+}
+
+// A share of the views that stays the same does not become certainty.
+TEST(SourceRegister, AGhostDoesNotBecomeSureWithTime) {
+  const auto key = *geometry::KeyFromPoint(Eigen::Vector3d(4.0, 1.0, 2.7), kVoxel_m);
+  const auto elsewhere = *geometry::KeyFromPoint(Eigen::Vector3d(9.0, 1.0, 2.7), kVoxel_m);
+  SourceRegister sources(DefaultConfig());
+  std::vector<SoundSource> found = {Found(1, 4.0, 0.6, 100)};
+  for (int view = 0; view < 3000; ++view) {
+    found[0].evidence = 10.0 * view;
+    EvidenceScan evidence{200 + view * kScan_ns, {{key, 0.4f}}, {view % 20 == 0 ? key : elsewhere}};
+    sources.Observe({"r1", Eigen::Vector2d(view % 2 == 0 ? 1.0 : 3.0, 2.0), &evidence});
+    sources.Update(found);
+  }
+  EXPECT_LT(sources.Sources()[0].found.probability, 0.5);
+}
+
 TEST(SourceRegister, TwoThatBecomeOneKeepTheOlderNameAndASplitGivesANewOne) {
   SourceRegister sources(DefaultConfig());
   EXPECT_EQ(sources.Update({Found(1, 1.0, 0.9, 100), Found(2, 1.6, 0.95, 50)}).size(), 2u);

@@ -18,6 +18,7 @@ void ExpectSame(const JournalEntry& a, const JournalEntry& b) {
   EXPECT_EQ(a.offset, b.offset);
   EXPECT_EQ(a.summary, b.summary);
   EXPECT_EQ(a.evidence.stamp_ns, b.evidence.stamp_ns);
+  EXPECT_EQ(a.evidence.maxima, b.evidence.maxima);
   ASSERT_EQ(a.evidence.end_points.size(), b.evidence.end_points.size());
   for (std::size_t i = 0; i < a.evidence.end_points.size(); ++i) {
     const EndPoint& p = a.evidence.end_points[i];
@@ -45,6 +46,10 @@ JournalEntry RandomEntry(std::mt19937_64* random) {
     const float likelihood = any_bits ? std::bit_cast<float>(static_cast<std::uint32_t>(r()))
                                       : static_cast<float>(value) / 1000.0f;
     entry.evidence.end_points.push_back({{axis(), axis(), axis()}, likelihood});
+  }
+  for (std::uint64_t left = r() % 40; left > 0; --left) {
+    const auto axis = [&] { return static_cast<std::uint16_t>(r()); };
+    entry.evidence.maxima.push_back({axis(), axis(), axis()});
   }
   return entry;
 }
@@ -108,11 +113,26 @@ TEST(JournalCodec, RefusesWhatIsTooLarge) {
   EXPECT_TRUE(DecodeJournalEntry(EncodeJournalEntry("s", entry).value(), &record).ok());
   entry.summary.assign((64 << 10) + 1, 'x');
   EXPECT_TRUE(absl::IsInvalidArgument(EncodeJournalEntry("s", entry).status()));
+  entry.summary.clear();
+  entry.evidence.maxima.resize((1 << 16) + 1);
+  EXPECT_TRUE(absl::IsInvalidArgument(EncodeJournalEntry("s", entry).status()));
+}
+
+// Version 1 had no maxima: session "s", offset 1, time 2, no summary, no end points.
+TEST(JournalCodec, ReadsEntriesFromBeforeMaximaWereKept) {
+  JournalRecord record;
+  record.entry.evidence.maxima.resize(3);
+  ASSERT_TRUE(DecodeJournalEntry(std::string("\1\1s\2\4\0\0", 7), &record).ok());
+  EXPECT_EQ(record.session, "s");
+  EXPECT_EQ(record.entry.offset, 1);
+  EXPECT_EQ(record.entry.evidence.stamp_ns, 2);
+  EXPECT_TRUE(record.entry.evidence.maxima.empty());
 }
 
 TEST(JournalCodec, EveryCutIsDataLoss) {
   std::mt19937_64 random(5);
   JournalEntry entry = EntryAt(3);
+  entry.evidence.maxima = {{1, 2, 3}, {65535, 0, 32768}};
   const std::string bytes = EncodeJournalEntry("s", entry).value();
   for (std::size_t cut = 0; cut < bytes.size(); ++cut) {
     JournalRecord record;
@@ -141,6 +161,12 @@ TEST(JournalCodec, HostileBytesStayBounded) {
     EXPECT_LE(record.entry.evidence.end_points.size(), std::size_t{1} << 20);
   }
   EXPECT_GT(refused, 1000);
+  // 2^16 maxima with nothing behind them, and one more than that.
+  for (const char* maxima : {"\x80\x80\4", "\x81\x80\4"}) {
+    JournalRecord record;
+    EXPECT_TRUE(
+        absl::IsDataLoss(DecodeJournalEntry(std::string("\2\0\0\0\0", 5) + maxima, &record)));
+  }
   // A count of 2^20 with nothing behind it, and one of 2^63.
   JournalRecord record;
   EXPECT_TRUE(absl::IsDataLoss(
@@ -148,7 +174,7 @@ TEST(JournalCodec, HostileBytesStayBounded) {
   EXPECT_TRUE(absl::IsDataLoss(DecodeJournalEntry(
       std::string("\1\0\0\0\0\xff\xff\xff\xff\xff\xff\xff\xff\x7f\x10", 15), &record)));
   std::string other_version = good;
-  other_version[0] = 2;
+  other_version[0] = 3;
   EXPECT_TRUE(absl::IsDataLoss(DecodeJournalEntry(other_version, &record)));
 }
 
