@@ -1,3 +1,4 @@
+#include <google/protobuf/stubs/logging.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
@@ -233,8 +234,10 @@ int Main(int argc, char** argv) {
     if (!whole.ok()) return fail(whole.status());
     return *whole ? 0 : 1;
   }
-  // gRPC has a line for every handshake that fails: a log that strangers could fill.
+  // gRPC has a line for every handshake that fails, protobuf for every text that is not UTF-8: a
+  // log that strangers could fill.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
+  google::protobuf::SetLogHandler(nullptr);
   spdlog::set_default_logger(spdlog::stderr_color_mt("soundmap"));
   spdlog::set_level(spdlog::level::from_str(config.log_level));
   const absl::Status served = Serve(config);

@@ -1,3 +1,5 @@
+#include <google/protobuf/stubs/logging.h>
+
 #include <algorithm>
 #include <cstdlib>
 #include <iostream>
@@ -22,6 +24,7 @@ int Fail(std::string sentence, int exit_status) {
 int main(int argc, char** argv) {
   // Standard error is for sentences; gRPC's own log comes if asked for.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
+  google::protobuf::SetLogHandler(nullptr);
   CLI::App app("Asks and administrates a sound map server.", "soundmap");
   soundmap::cli::CommandLine line;
   soundmap::cli::AddGlobalOptions(app, line);

@@ -3,9 +3,12 @@
 // Boost.Serialization of the types that the pipeline stores. Included by the two sources that write
 // archives.
 
+#include <algorithm>
 #include <boost/archive/archive_exception.hpp>
 #include <boost/archive/binary_iarchive.hpp>
 #include <boost/archive/binary_oarchive.hpp>
+#include <boost/archive/impl/basic_binary_iarchive.ipp>
+#include <boost/archive/impl/basic_binary_iprimitive.ipp>
 #include <boost/serialization/array.hpp>
 #include <boost/serialization/deque.hpp>
 #include <boost/serialization/optional.hpp>
@@ -101,12 +104,55 @@ std::string ToBytes(const Parts&... parts) {
   return bytes;
 }
 
+// Boost's own archive believes what it reads: it makes room for as many elements as the bytes say,
+// and holds a flag that is neither 0 nor 1 for a fault of the program. Here both are damage.
+class CheckedArchive
+    : public boost::archive::binary_iarchive_impl<CheckedArchive, char, std::char_traits<char>> {
+ public:
+  explicit CheckedArchive(std::streambuf& bytes)
+      : binary_iarchive_impl(bytes, boost::archive::no_header | boost::archive::no_codecvt),
+        bytes_(bytes) {}
+
+  template <typename Value>
+  void load_override(Value& value) {
+    binary_iarchive_impl::load_override(value);
+  }
+  // Every element takes a byte or more.
+  void load_override(boost::serialization::collection_size_type& size) {
+    binary_iarchive_impl::load_override(size);
+    CheckLeft(size);
+  }
+  void load_override(std::string& text) {
+    std::size_t size = 0;
+    load(size);
+    CheckLeft(size);
+    text.resize(size);
+    load_binary(text.data(), size);
+  }
+  void load_override(bool& flag) {
+    unsigned char byte = 0;
+    load(byte);
+    if (byte > 1) Refuse();
+    flag = byte == 1;
+  }
+
+ private:
+  [[noreturn]] static void Refuse() {
+    throw boost::archive::archive_exception(boost::archive::archive_exception::input_stream_error);
+  }
+  void CheckLeft(std::size_t size) {
+    if (size > static_cast<std::size_t>(std::max<std::streamsize>(bytes_.in_avail(), 0))) Refuse();
+  }
+
+  std::streambuf& bytes_;
+};
+
 template <typename... Parts>
 absl::Status FromBytes(const std::string& bytes, Parts&... parts) {
   // Boost.Serialization reports by exception that the bytes end early or cannot be.
   try {
-    std::istringstream stream(bytes, std::ios::binary);
-    boost::archive::binary_iarchive archive(stream, boost::archive::no_header);
+    std::stringbuf source(bytes, std::ios::in | std::ios::binary);
+    CheckedArchive archive(source);
     (archive >> ... >> parts);
   } catch (const std::exception& error) {
     return absl::DataLossError(std::string("stored bytes of the pipeline cannot be read: ") +
@@ -116,3 +162,6 @@ absl::Status FromBytes(const std::string& bytes, Parts&... parts) {
 }
 
 }  // namespace soundmap::pipeline
+
+// Arrays of numbers are read at once, as they are written.
+BOOST_SERIALIZATION_USE_ARRAY_OPTIMIZATION(soundmap::pipeline::CheckedArchive)

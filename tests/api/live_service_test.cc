@@ -321,6 +321,8 @@ TEST_F(LiveServiceTest, WhatIsOutOfOrderIsRefused) {
             FAILED_PRECONDITION);
   EXPECT_EQ(end_of([](Call& call) { call.Open(0, "../r"); }), INVALID_ARGUMENT);
   EXPECT_EQ(end_of([](Call& call) { call.Open(0, "r", "d"); }), INVALID_ARGUMENT);
+  EXPECT_EQ(end_of([](Call& call) { call.Open(0, "r", "sites/hall/sessions/D"); }),
+            INVALID_ARGUMENT);
   EXPECT_EQ(end_of([](Call& call) { call.Open(0, "r", "sites/elsewhere/sessions/d"); }), NOT_FOUND);
   // The session of another robot.
   ASSERT_TRUE(site_->CreateSession(request_, 1).ok());

@@ -35,5 +35,16 @@ TEST(Wake, WhatIsCalledWhileItRunsRunsAgain) {
   EXPECT_EQ(runs, 3);
 }
 
+TEST(Wake, WaitsForItsDelay) {
+  boost::asio::io_context context;
+  int runs = 0;
+  const Wake wake(context.get_executor(), std::chrono::hours(1), [&runs] { ++runs; });
+  wake();
+  EXPECT_EQ(context.poll(), 0u);
+  wake();
+  EXPECT_EQ(context.poll(), 0u);
+  EXPECT_EQ(runs, 0);
+}
+
 }  // namespace
 }  // namespace soundmap::api

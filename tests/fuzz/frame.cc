@@ -1,7 +1,8 @@
 #include <cmath>
 #include <span>
 
-#include "api/decode_frame.h"
+#include "api/decode_message.h"
+#include "foxglove/KeyValuePair.pb.h"
 #include "recording/foxglove_messages.h"
 #include "tests/fuzz/target.h"
 
@@ -9,7 +10,8 @@ namespace soundmap::fuzz {
 namespace {
 
 constexpr const char* kSchemas[] = {"foxglove.RawAudio", "foxglove.PointCloud",
-                                    "foxglove.LaserScan", "foxglove.Odometry"};
+                                    "foxglove.LaserScan", "foxglove.Odometry",
+                                    "foxglove.KeyValuePair"};
 
 }  // namespace
 
@@ -45,6 +47,10 @@ std::vector<std::string> Seeds() {
   odometry.mutable_pose()->mutable_position()->set_x(1.0);
   odometry.mutable_pose()->mutable_orientation()->set_w(1.0);
   seeds.push_back(std::string(1, '\3') + odometry.SerializeAsString());
+  foxglove::KeyValuePair gap;
+  gap.set_key("gap");
+  gap.set_value(R"({"frames": 5, "from_ns": 1, "to_ns": 2, "reason": "the spool was full"})");
+  seeds.push_back(std::string(1, '\4') + gap.SerializeAsString());
   return seeds;
 }
 
@@ -53,9 +59,14 @@ void Decode(std::string_view bytes) {
   frames::Calibration calibration;
   calibration.mic_in_array_m = {{0.0, 0.0, 0.0}, {0.1, 0.0, 0.0}};
   calibration.audio_sample_rate_hz = 16000;
-  // A good frame or an error: it must not matter which.
-  (void)api::DecodeFrame(kSchemas[static_cast<unsigned char>(bytes[0]) % 4], bytes.substr(1),
-                         calibration);
+  recording::Message message;
+  message.schema = kSchemas[static_cast<unsigned char>(bytes[0]) % std::size(kSchemas)];
+  message.data = bytes.substr(1);
+  const auto decoded = api::DecodeMessage(message, calibration);
+  if (!decoded.ok()) return;
+  if (const auto* gap = std::get_if<pipeline::Gap>(&*decoded)) {
+    Require(gap->frames > 0 && gap->from_ns >= 0 && gap->to_ns >= 0);
+  }
 }
 
 }  // namespace soundmap::fuzz

@@ -1,4 +1,5 @@
-// fuzz_NAME CORPUS: decodes the seeds, all that stands in the folder, and damaged copies of both.
+// fuzz_NAME CORPUS [COPIES]: decodes the seeds, all that stands in the folder, and damaged copies
+// of both.
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
@@ -8,8 +9,6 @@
 #include "tests/fuzz/target.h"
 
 namespace {
-
-constexpr int kDamagedCopies = 2000;  // of each input
 
 std::string Damaged(std::string bytes, std::mt19937& random) {
   if (bytes.empty()) return bytes;
@@ -49,11 +48,12 @@ int main(int argc, char** argv) {
     bytes << std::ifstream(file.path(), std::ios::binary).rdbuf();
     inputs.push_back(bytes.str());
   }
+  const int copies = argc > 2 ? std::atoi(argv[2]) : 2000;
   std::mt19937 random(1);
   for (const std::string& input : inputs) {
     Decode(input);
-    for (int i = 0; i < kDamagedCopies; ++i) Decode(Damaged(input, random));
+    for (int i = 0; i < copies; ++i) Decode(Damaged(input, random));
   }
-  std::printf("%zu inputs and %d damaged copies of each\n", inputs.size(), kDamagedCopies);
+  std::printf("%zu inputs and %d damaged copies of each\n", inputs.size(), copies);
   return inputs.empty() ? 1 : 0;
 }

@@ -90,5 +90,26 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   }
 }
 
+// Damaged sizes and flags are refused: nothing is made room for that the bytes cannot hold.
+TEST(Archive, NoDamagedByteIsBelieved) {
+  sound_map::SourceRegister::State state;
+  state.tracks.resize(2);
+  state.tracks[1].source.robots = {"robot"};
+  state.tracks[1].source.view_points.resize(2);
+  const std::string bytes = EncodeSourceRegister(state);
+  int refused = 0;
+  for (std::size_t i = 0; i < bytes.size(); ++i) {
+    for (const char value : {'\2', '\x7f', '\xff'}) {
+      std::string damaged = bytes;
+      damaged[i] = value;
+      const auto read = DecodeSourceRegister(damaged);
+      if (read.ok()) continue;
+      EXPECT_TRUE(absl::IsDataLoss(read.status())) << i;
+      ++refused;
+    }
+  }
+  EXPECT_GT(refused, 3 * 8 * 4);  // the eight bytes of each size, of four or more
+}
+
 }  // namespace
 }  // namespace soundmap::pipeline

@@ -8,7 +8,9 @@
 #include <thread>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "storage/check.h"
+#include "storage/crc32c.h"
 #include "storage/frame_sequence.h"
 
 namespace soundmap::storage {
@@ -174,6 +176,42 @@ TEST(Restore, NamesWhatIsNotAsItWas) {
   EXPECT_TRUE(absl::IsNotFound(Restore(folder, target, GoOn).status()));
   ASSERT_TRUE(Restore(backup, target, GoOn).ok());
   EXPECT_EQ(ProcessedIn(target), 10);
+}
+
+// A manifest whose checksum is right may still not name files beside the backup.
+TEST(Restore, TakesNothingFromElsewhere) {
+  const std::string data = EmptyFolder("restore_elsewhere");
+  const std::string folder = EmptyFolder("restore_elsewhere_from");
+  auto store = Store::Open(data).value();
+  Begin(*store);
+  Drive(*store);
+  const std::string backup = folder + "/copy";
+  ASSERT_TRUE(BackUp(*store, backup, GoOn).ok());
+  std::filesystem::create_directories(folder + "/deep");
+  WriteWholeFile(folder + "/outside", "x");
+  for (const std::string& path : {std::string("../outside"), std::string("db/../../outside"),
+                                  std::filesystem::absolute(folder + "/outside").string()}) {
+    const std::string line = absl::StrFormat("%08x 1 %s\n", Crc32c("x"), path);
+    WriteWholeFile(backup + "/MANIFEST", line + absl::StrFormat("%08x\n", Crc32c(line)));
+    const auto restored = Restore(backup, folder + "/deep/restored", GoOn);
+    EXPECT_TRUE(absl::IsDataLoss(restored.status())) << path;
+    EXPECT_FALSE(std::filesystem::exists(folder + "/deep/outside"));
+  }
+}
+
+TEST(Restore, LeavesNothingWhenItIsCancelled) {
+  const std::string data = EmptyFolder("restore_cancelled");
+  const std::string folder = EmptyFolder("restore_cancelled_from");
+  auto store = Store::Open(data).value();
+  Begin(*store);
+  Drive(*store);
+  ASSERT_TRUE(BackUp(*store, folder + "/copy", GoOn).ok());
+  int calls = 0;
+  const auto restored =
+      Restore(folder + "/copy", folder + "/restored", [&](double) { return ++calls < 3; });
+  EXPECT_TRUE(absl::IsCancelled(restored.status()));
+  EXPECT_FALSE(std::filesystem::exists(folder + "/restored"));
+  EXPECT_FALSE(std::filesystem::exists(folder + "/restored.part"));
 }
 
 }  // namespace

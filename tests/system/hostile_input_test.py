@@ -127,6 +127,13 @@ class HostileInputTest(ProgramTest):
                 self.assertIn(result.returncode, (1, 2))
                 self.assertEqual(len(result.stderr.strip().splitlines()), 1, result.stderr)
 
+    def test_a_name_that_is_no_text_is_refused_and_fills_no_log(self):
+        environment = dict(os.environ, SOUNDMAP_SERVER=self.running.address)
+        result = subprocess.run([BIN / "soundmap", "sources", b"\xff\xfe"], env=environment, capture_output=True, timeout=60)
+        self.assertEqual(result.returncode, 1, result.stderr)
+        self.assertEqual(len(result.stderr.strip().splitlines()), 1, result.stderr)
+        self.assertNotIn("protobuf", self.running.log_path.read_text())
+
     def test_a_site_without_a_map(self):
         self.ok(self.running, "soundmap", "site", "create", "bare")
         self.replay_to("bare", SHORT, says="no geometric map")

@@ -111,12 +111,16 @@ class LiveServer final : public v1::LiveService::Service {
 
   std::string address() const { return "127.0.0.1:" + std::to_string(port_); }
 
-  grpc::Status Live(grpc::ServerContext*,
+  grpc::Status Live(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::LiveResponse, v1::LiveRequest>* stream) override {
     int number = 0;
     {
       std::lock_guard lock(mutex_);
       number = streams_++;
+      const auto shown = context->client_metadata().find("authorization");
+      if (shown != context->client_metadata().end()) {
+        authorization_.assign(shown->second.data(), shown->second.size());
+      }
     }
     v1::LiveRequest request;
     while (stream->Read(&request)) {
@@ -156,6 +160,15 @@ class LiveServer final : public v1::LiveService::Service {
     std::unique_lock lock(mutex_);
     changed_.wait(lock, [&] { return opens_.size() >= count; });
   }
+  // Whether so many come in this time.
+  bool OpensWithin(std::size_t count, milliseconds time) {
+    std::unique_lock lock(mutex_);
+    return changed_.wait_for(lock, time, [&] { return opens_.size() >= count; });
+  }
+  std::string authorization() {
+    std::lock_guard lock(mutex_);
+    return authorization_;
+  }
   std::vector<v1::LiveOpen> opens() {
     std::lock_guard lock(mutex_);
     return opens_;
@@ -172,6 +185,7 @@ class LiveServer final : public v1::LiveService::Service {
   std::vector<v1::LiveOpen> opens_;
   std::vector<v1::LiveReport> reports_;
   int streams_ = 0;
+  std::string authorization_;
   std::unique_ptr<grpc::Server> server_;
 };
 
@@ -314,6 +328,24 @@ TEST(LiveLink, ARefusalIsSaidOnceAndHeldTo) {
   for (const v1::LiveOpen& open : server.opens()) EXPECT_EQ(open.epoch(), 0);
   std::lock_guard lock(said.mutex);
   EXPECT_THAT(said.all, ElementsAre(HasSubstr("newer agent")));
+}
+
+TEST(LiveLink, ShowsItsTokenAndDoesNotComeAgainWhileItHolds) {
+  FakeClocks clocks;
+  Sentences said;
+  LiveOptions options = Options();
+  options.token = "secret";
+  LiveServer server(&clocks, [](int, const v1::LiveRequest&) {
+    return grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "no");
+  });
+  const auto link = Link(server, clocks, said, options);
+  {
+    std::unique_lock lock(said.mutex);
+    said.changed.wait(lock, [&] { return !said.all.empty(); });
+  }
+  EXPECT_EQ(server.authorization(), "Bearer secret");
+  // Ten times as long as it waits where it does not hold.
+  EXPECT_FALSE(server.OpensWithin(2, 10 * options.max_backoff));
 }
 
 TEST(LiveLink, EndsWhileItConnectsWaitsOrHolds) {

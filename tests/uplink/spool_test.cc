@@ -238,6 +238,37 @@ TEST_F(SpoolTest, ADamagedSegmentIsAGapAndADamagedSessionIsLeftAlone) {
   EXPECT_EQ(gaps, 1);
 }
 
+TEST_F(SpoolTest, ARecordWhoseNumbersDoNotFitTogetherIsDamaged) {
+  SessionRecord record;
+  record.request = RequestFor("d");
+  record.next = 20;
+  // Frames 3 to 7, and 10 to 19: the server gets one record for each.
+  record.gaps = {{3, 3, 8, 1, 2, "full"}, {6, 10, 20, 3, 4, "full"}};
+  std::filesystem::create_directories(folder_ / "d");
+  const auto read = [&](const SessionRecord& changed) {
+    EXPECT_TRUE(WriteRecord((folder_ / "d").string(), changed).ok());
+    return ReadRecord((folder_ / "d").string()).status().code();
+  };
+  EXPECT_EQ(read(record), absl::StatusCode::kOk);
+  for (const std::int64_t next : {std::int64_t{-1}, std::int64_t{1} << 62}) {
+    SessionRecord changed = record;
+    changed.next = next;
+    EXPECT_EQ(read(changed), absl::StatusCode::kDataLoss) << next;
+  }
+  for (std::int64_t Gap::*number : {&Gap::offset, &Gap::first, &Gap::end}) {
+    for (std::size_t gap : {0, 1}) {
+      for (const int change : {-30, -1, 1, 30}) {
+        SessionRecord changed = record;
+        changed.gaps[gap].*number += change;
+        // A gap may end elsewhere if none follows it.
+        const bool fits = number == &Gap::end && gap == 1 && change == -1;
+        EXPECT_EQ(read(changed), fits ? absl::StatusCode::kOk : absl::StatusCode::kDataLoss)
+            << gap << " " << change;
+      }
+    }
+  }
+}
+
 TEST_F(SpoolTest, OneAgentAtATime) {
   const auto spool = Reopen(folder_, SmallSegments());
   const auto other = Spool::Open(folder_.string(), SmallSegments(), [] { return 1; });
