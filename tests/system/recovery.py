@@ -123,7 +123,7 @@ def main():
     parser.add_argument("out", type=pathlib.Path, help="without its suffix")
     parser.add_argument("--robots", type=int, default=10)
     parser.add_argument("--minutes", type=float, default=60.0, help="that each robot drives")
-    parser.add_argument("--drive-minutes", type=float, default=10.0, help="of one drive")
+    parser.add_argument("--drive-minutes", type=float, default=1.4, help="of one drive; the simulated one ends after 88 s")
     sys.exit(0 if Recovery(parser.parse_args()).run() else 1)
 
 
