@@ -32,6 +32,7 @@ namespace soundmap {
 namespace {
 
 // As many logs are synced at a time: the disk takes them together.
+constexpr int kLogThreads = 4;
 constexpr int kIoThreads = 4;
 
 std::int64_t NowNs() {
@@ -52,8 +53,10 @@ absl::Status Serve(const ServerConfig& config) {
 
   const unsigned cores = std::max(1u, std::thread::hardware_concurrency());
   boost::asio::thread_pool pool(config.threads > 0 ? config.threads : cores);
-  // What waits for the disk and for peers, so that it never waits behind the work on frames.
+  // What waits for the disk and for peers, so that it never waits behind the work on frames; and
+  // what robots wait for, so that it does not wait behind apps either.
   boost::asio::thread_pool io_pool(kIoThreads);
+  boost::asio::thread_pool log_pool(kLogThreads);
   // Before any other thread exists in gRPC, so that the signals come here.
   boost::asio::signal_set signals(io_pool, SIGTERM, SIGINT);
   std::promise<int> stop;
@@ -70,7 +73,7 @@ absl::Status Serve(const ServerConfig& config) {
     return found->second;
   };
   options.now_ns = NowNs;
-  options.sync_executor = io_pool.get_executor();
+  options.sync_executor = log_pool.get_executor();
   const std::shared_ptr<const pipeline::Meters> meters = options.meters;
   spdlog::info("recovering from {}", config.data_dir);
   auto sites = pipeline::Sites::Open(store->get(), std::move(options));
@@ -116,6 +119,7 @@ absl::Status Serve(const ServerConfig& config) {
   (*sites)->Stop();
   sites->reset();
   pool.join();
+  log_pool.join();
   io_pool.join();
   store->reset();
   spdlog::info("stopped");

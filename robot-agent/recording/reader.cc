@@ -90,6 +90,15 @@ absl::StatusOr<std::optional<Message>> Reader::Next() {
   return status_;
 }
 
+absl::Status Reader::TakeGrowth() {
+  struct stat attributes;
+  if (::fstat(::fileno(file_.get()), &attributes) != 0) {
+    return absl::ErrnoToStatus(errno, absl::StrCat("cannot read '", path_, "'"));
+  }
+  size_bytes_ = std::max<std::int64_t>(size_bytes_, attributes.st_size);
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::optional<Message>> Reader::NextInChunk() {
   FieldParser record(chunk_rest_);
   const std::uint8_t opcode = record.U8();

@@ -38,6 +38,9 @@ class Reader {
   // after its last whole record, and so is damaged there.
   absl::StatusOr<std::optional<Message>> Next();
 
+  // The file has grown: what was appended belongs to it. Not after damage.
+  absl::Status TakeGrowth();
+
   // Bytes of the file that were read, and its size.
   std::int64_t position_bytes() const { return position_bytes_; }
   std::int64_t size_bytes() const { return size_bytes_; }
@@ -87,7 +90,7 @@ class Reader {
 
   const std::string path_;
   const std::unique_ptr<std::FILE, CloseFile> file_;
-  const std::int64_t size_bytes_;
+  std::int64_t size_bytes_;
   const ReaderLimits limits_;
 
   absl::Status status_;

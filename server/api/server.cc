@@ -26,6 +26,9 @@ namespace {
 // A message of the ingest stream has 256 KiB of payload, a chunk of a map file as much.
 constexpr int kMaxMessageBytes = 1 << 20;
 constexpr int kMaxCallsPerConnection = 512;
+// Between the word that this server stops and the end of the streams: who spreads the load hears of
+// it and sends nobody here any more.
+constexpr std::chrono::milliseconds kNoticeTime(300);
 constexpr std::chrono::seconds kDrainTime(2);
 
 class GrpcServer : public Server {
@@ -89,6 +92,7 @@ class GrpcServer : public Server {
 
   void Shutdown() override {
     server_->GetHealthCheckService()->SetServingStatus(false);
+    std::this_thread::sleep_for(kNoticeTime);
     ingest_.Drain();
     live_.Drain();
     server_->Shutdown(std::chrono::system_clock::now() + kDrainTime);

@@ -7,6 +7,8 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <utility>
+#include <variant>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
@@ -131,15 +133,23 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   }
 
   void QueuePage(const std::vector<pipeline::Event>& events) {
-    std::map<std::string, const pipeline::Event*> newest;  // state of each robot
-    for (const pipeline::Event& event : events) {
+    using Key = std::pair<std::size_t, std::string>;  // the kind of event and whose it is
+    const auto key_of = [](const pipeline::Event& event) -> std::optional<Key> {
       if (const auto* robot = std::get_if<pipeline::RobotInfo>(&event)) {
-        newest[robot->robot] = &event;
+        return Key(event.index(), robot->robot);
       }
+      if (const auto* live = std::get_if<pipeline::LiveChanged>(&event)) {
+        return Key(event.index(), live->robot);
+      }
+      return std::nullopt;
+    };
+    std::map<Key, const pipeline::Event*> newest;  // state of each robot
+    for (const pipeline::Event& event : events) {
+      if (const auto key = key_of(event)) newest[*key] = &event;
     }
     for (const pipeline::Event& event : events) {
-      const auto* robot = std::get_if<pipeline::RobotInfo>(&event);
-      if (robot == nullptr || newest[robot->robot] == &event) Queue(event);
+      const auto key = key_of(event);
+      if (!key || newest[*key] == &event) Queue(event);
     }
   }
 

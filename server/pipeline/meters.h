@@ -43,7 +43,8 @@ struct Meters {
   std::atomic<std::int64_t> lost_frames = 0;      // that robots reported as lost
   std::atomic<std::int64_t> replayed_frames = 0;  // whose work was done again at the start
   LagHistogram durable_lag;                       // from a frame's arrival to the disk
-  std::atomic<std::int64_t> bytes_in_flight = 0;  // of frames that wait for the disk or the map
+  std::atomic<std::int64_t> bytes_in_flight = 0;  // of frames that wait for the disk
+  std::atomic<std::int64_t> backlog_frames = 0;   // on the disk, that wait for the map
   std::atomic<std::int64_t> streams = 0;          // of robots, open now
   std::atomic<std::int64_t> live_streams = 0;     // of robots, open now
   std::atomic<std::int64_t> watches = 0;          // open now

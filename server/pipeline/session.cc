@@ -17,6 +17,9 @@ namespace {
 // What one visit to the strand processes at most before another robot may have the thread.
 constexpr int kBatchFrames = 64;
 constexpr std::int64_t kBatchBytes = 2 << 20;
+// Payload that waits in memory for the map; a robot sends some tenths of it in the time that it
+// takes to sync.
+constexpr std::int64_t kQueueBytes = 2 << 20;
 
 constexpr frames::TimeNs kSnapshotInterval_ns = 10'000'000'000;
 constexpr std::int64_t kOffsetInterval_ns = 10'000'000'000;
@@ -67,9 +70,11 @@ absl::Status Session::Recover() {
   if (!log.ok()) return log.status();
   log_ = *std::move(log);
   received_ = durable_ = log_->durable();
+  ended_ = log_->last_topic() == kEndTopic;
   const auto processed = site_.store->ProcessedOffset(id());
   if (!processed.ok()) return processed.status();
   processed_ = stored_poses_ = *processed;
+  AddBacklog(durable_ - processed_);
   const auto heard = site_.store->HeardOffset(id());
   if (!heard.ok()) return heard.status();
   stored_evidence_ = *heard;
@@ -122,29 +127,13 @@ absl::Status Session::Replay() {
     if (!message->has_value()) return absl::DataLossError("the session log ends early");
     auto item = Decode(**message);
     if (!item.ok()) return item.status();
-    ended_ = std::holds_alternative<End>(item->content);
     Apply(*std::move(item));
   }
   if (next_ > first) {
     if (site_.meters != nullptr) site_.meters->replayed_frames += next_ - first;
-    batch_bytes_ = 0;  // nothing of it was in flight
-    const absl::Status committed = Commit();
-    if (!committed.ok()) return committed;
+    return Commit();
   }
-  return FillQueue(**reader);
-}
-
-absl::Status Session::FillQueue(storage::FrameReader& reader) {
-  while (true) {
-    auto message = reader.Next();
-    if (!message.ok()) return message.status();
-    if (!message->has_value()) return absl::OkStatus();
-    auto item = Decode(**message);
-    if (!item.ok()) return item.status();
-    ended_ = std::holds_alternative<End>(item->content);
-    AddInFlight(item->payload_bytes);
-    queue_.push_back(*std::move(item));
-  }
+  return absl::OkStatus();
 }
 
 void Session::Resume() {
@@ -282,10 +271,7 @@ absl::StatusOr<Session::Taken> Session::Receive(std::int64_t epoch, std::int64_t
   if (offset != received_) return Taken::kGap;
   const auto appended = log_->Append(std::move(message));
   if (!appended.ok()) return appended.status();
-  AddInFlight(item->payload_bytes);
-  item->received_at = std::chrono::steady_clock::now();
-  queue_.push_back(*std::move(item));
-  ++received_;
+  Queue(*std::move(item));
   return Taken::kYes;
 }
 
@@ -310,10 +296,21 @@ absl::Status Session::Finish(std::int64_t epoch, std::int64_t frame_count) {
   end.data = kEndPayload;
   const auto appended = log_->Append(std::move(end));
   if (!appended.ok()) return appended.status();
-  queue_.push_back({End{}, record_.last_frame_ns, 0, std::chrono::steady_clock::now()});
-  ++received_;
+  Queue({End{}, record_.last_frame_ns, 0});
   ended_ = true;
   return absl::OkStatus();
+}
+
+void Session::Queue(Item item) {
+  if (queue_bytes_ + item.payload_bytes > kQueueBytes) {
+    queue_.clear();
+    queue_bytes_ = 0;
+  }
+  pending_.push_back({item.payload_bytes, std::chrono::steady_clock::now()});
+  AddInFlight(item.payload_bytes);
+  queue_bytes_ += item.payload_bytes;
+  queue_.push_back(std::move(item));
+  ++received_;
 }
 
 void Session::TakeClockOffset(const ClockOffset& offset) {
@@ -340,8 +337,13 @@ void Session::OnDurable(const absl::StatusOr<std::int64_t>& durable) {
     return;
   }
   storage_trouble_ = absl::OkStatus();
-  MeasureDurableLag(*durable);
-  durable_ = std::max(durable_, *durable);
+  const auto now = std::chrono::steady_clock::now();
+  for (; durable_ < *durable && !pending_.empty(); ++durable_) {
+    if (site_.meters != nullptr) site_.meters->durable_lag.Add(now - pending_.front().received_at);
+    AddInFlight(-pending_.front().payload_bytes);
+    pending_.pop_front();
+    AddBacklog(1);
+  }
   Wake();
   if (!scheduled_ && !stopping_) {
     scheduled_ = true;
@@ -350,61 +352,98 @@ void Session::OnDurable(const absl::StatusOr<std::int64_t>& durable) {
 }
 
 absl::StatusOr<std::int64_t> Session::NextEpoch() {
-  std::lock_guard lock(mutex_);
-  SessionRecord record = record_;
+  const std::lock_guard record_lock(record_mutex_);
+  SessionRecord record = this->record();
   ++record.epoch;
   const absl::Status stored = site_.store->PutRecord(
       storage::Table::kSession, absl::StrCat(record.site, "/", record.session), ToJson(record));
   if (!stored.ok()) return stored;
+  const std::lock_guard lock(mutex_);
   record_.epoch = record.epoch;
   return record_.epoch;
 }
 
 void Session::Process() {
   clock_.Start();
+  std::int64_t read_to = 0;
   {
     std::lock_guard lock(mutex_);
-    std::int64_t bytes = 0;
-    while (next_ + static_cast<std::int64_t>(batch_.size()) < durable_ &&
-           batch_.size() < kBatchFrames && bytes < kBatchBytes) {
-      bytes += queue_.front().payload_bytes;
-      batch_.push_back(std::move(queue_.front()));
-      queue_.pop_front();
+    const std::int64_t queue_begin = received_ - static_cast<std::int64_t>(queue_.size());
+    read_to = std::min(durable_, queue_begin);
+    const std::int64_t batch_end = next_ + static_cast<std::int64_t>(batch_.size());
+    if (batch_end == queue_begin) {
+      while (next_ + static_cast<std::int64_t>(batch_.size()) < durable_ && !IsBatchFull()) {
+        queue_bytes_ -= queue_.front().payload_bytes;
+        batch_left_bytes_ += queue_.front().payload_bytes;
+        batch_.push_back(std::move(queue_.front()));
+        queue_.pop_front();
+      }
     }
-    if (stopping_ || !fault_.ok() || (batch_.empty() && !IsBehind())) {
+    const bool to_read = next_ + static_cast<std::int64_t>(batch_.size()) < read_to;
+    if (stopping_ || !fault_.ok() || (batch_.empty() && !to_read && !IsBehind())) {
       scheduled_ = false;
       clock_.Stop(Stage::kSession);
       return;
     }
   }
-  if (IsBehind()) {
-    const absl::Status caught_up = CatchUp();
-    if (!caught_up.ok()) {
-      std::lock_guard lock(mutex_);
-      fault_ = caught_up;
-      scheduled_ = false;
-      Wake();
-      clock_.Stop(Stage::kSession);
-      return;
-    }
-  } else {
+  const bool behind = IsBehind();
+  const absl::Status read = behind ? CatchUp() : ReadBatch(read_to);
+  if (!read.ok()) return Fail(read);
+  if (!behind) {
     // What the robot has heard comes into the map in the order of the drive: as soon as it knows
     // where it was, before it drives on.
-    for (; !batch_.empty() && !IsBehind(); batch_.pop_front()) Apply(std::move(batch_.front()));
+    for (; !batch_.empty() && !IsBehind(); batch_.pop_front()) {
+      batch_left_bytes_ -= batch_.front().payload_bytes;
+      Apply(std::move(batch_.front()));
+    }
   }
   CommitAndGoOn();
+}
+
+void Session::Fail(const absl::Status& status) {
+  std::lock_guard lock(mutex_);
+  fault_ = status;
+  scheduled_ = false;
+  Wake();
+  clock_.Stop(Stage::kSession);
+}
+
+bool Session::IsBatchFull() const {
+  return batch_.size() >= kBatchFrames || batch_left_bytes_ >= kBatchBytes;
+}
+
+absl::Status Session::ReadBatch(std::int64_t end) {
+  std::int64_t offset = next_ + static_cast<std::int64_t>(batch_.size());
+  if (offset >= end) {
+    unread_.reset();
+    return absl::OkStatus();
+  }
+  if (IsBatchFull()) return absl::OkStatus();
+  if (unread_ && unread_->next_offset() == offset) {
+    const absl::Status extended = log_->Extend(*unread_);
+    if (!extended.ok()) return extended;
+  } else {
+    auto reader = log_->Read(offset);
+    if (!reader.ok()) return reader.status();
+    unread_ = *std::move(reader);
+  }
+  for (; offset < end && !IsBatchFull(); ++offset) {
+    const auto message = unread_->Next();
+    if (!message.ok()) return message.status();
+    if (!message->has_value()) return absl::DataLossError("the session log ends early");
+    auto item = Decode(**message);
+    if (!item.ok()) return item.status();
+    batch_left_bytes_ += item->payload_bytes;
+    batch_.push_back(*std::move(item));
+  }
+  return absl::OkStatus();
 }
 
 bool Session::IsBehind() const { return listening_ && heard_ < next_ && !listening_->waits(); }
 
 absl::Status Session::CatchUp() {
   if (!unheard_) {
-    std::shared_ptr<storage::SessionLog> log;
-    {
-      std::lock_guard lock(mutex_);
-      log = log_;
-    }
-    auto reader = log->Read(heard_);
+    auto reader = log_->Read(heard_);
     if (!reader.ok()) return reader.status();
     unheard_ = *std::move(reader);
   }
@@ -444,7 +483,6 @@ void Session::CommitAndGoOn() {
 
 void Session::Apply(Item item) {
   const std::int64_t offset = next_++;
-  batch_bytes_ += item.payload_bytes;
   if (batch_first_ns_ == 0) batch_first_ns_ = item.log_time_ns;
   batch_last_ns_ = std::max(batch_last_ns_, item.log_time_ns);  // the end has that of some frame
   if (std::holds_alternative<End>(item.content)) finished_ = true;
@@ -521,9 +559,9 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
 
 absl::Status Session::StoreRecord() {
   if (!record_changed_) return absl::OkStatus();
-  std::lock_guard lock(mutex_);  // no older record takes the place of NextEpoch()'s
+  const std::lock_guard record_lock(record_mutex_);  // no older record replaces NextEpoch()'s
   const absl::Status stored = site_.store->PutRecord(
-      storage::Table::kSession, absl::StrCat(commit_.site, "/", commit_.session), ToJson(record_));
+      storage::Table::kSession, absl::StrCat(commit_.site, "/", commit_.session), ToJson(record()));
   if (stored.ok()) record_changed_ = false;
   return stored;
 }
@@ -557,20 +595,21 @@ absl::Status Session::Commit() {
     commit_.trajectory.clear();
     commit_.state.reset();
   }
-  std::lock_guard lock(mutex_);
+  std::unique_lock lock(mutex_);
+  AddBacklog(processed_ - next_);
   processed_ = next_;
-  AddInFlight(-std::min(bytes_in_flight_, batch_bytes_));
-  batch_bytes_ = 0;
   if (record_.first_frame_ns == 0) record_.first_frame_ns = batch_first_ns_;
   record_.last_frame_ns = std::max(record_.last_frame_ns, batch_last_ns_);
   if (listening_) {
     record_.audio_scans = listening_->counters().audio_scans;
     odometry_frame_ = listening_->odometry_frame();
   }
-  site_.region->events().Publish(RobotInfo{
-      record_.robot, record_.site, record_.session, stream_epoch_ != 0, newest_pose_,
-      record_.last_frame_ns, record_.lost_frames(), std::nullopt, record_.newest_offset()});
+  RobotInfo robot{record_.robot,         record_.site, record_.session,
+                  stream_epoch_ != 0,    newest_pose_, record_.last_frame_ns,
+                  record_.lost_frames(), std::nullopt, record_.newest_offset()};
   Wake();
+  lock.unlock();
+  site_.region->events().Publish(std::move(robot));
   return absl::OkStatus();
 }
 
@@ -578,11 +617,13 @@ absl::Status Session::Complete() {
   // Who knows that a drive is processed also finds its sources.
   site_.region->FindSources();
   clock_.Lap(Stage::kSources);
+  const std::lock_guard record_lock(record_mutex_);
   std::unique_lock lock(mutex_);
   if (record_.complete) return absl::OkStatus();
   SessionRecord record = record_;
   record.complete = true;
   record.frame_count = received_ - 1;
+  lock.unlock();
   if (listening_) {
     for (std::string& warning : listening_->Warnings()) {
       record.warnings.push_back(std::move(warning));
@@ -591,7 +632,11 @@ absl::Status Session::Complete() {
   const absl::Status stored = site_.store->PutRecord(
       storage::Table::kSession, absl::StrCat(record.site, "/", record.session), ToJson(record));
   if (!stored.ok()) return stored;
-  record_ = std::move(record);
+  unread_.reset();
+  lock.lock();
+  record_.complete = true;
+  record_.frame_count = record.frame_count;
+  record_.warnings = std::move(record.warnings);
   listening_.reset();
   log_.reset();
   Wake();
@@ -604,14 +649,9 @@ void Session::AddInFlight(std::int64_t bytes) {
   if (site_.meters != nullptr) site_.meters->bytes_in_flight += bytes;
 }
 
-void Session::MeasureDurableLag(std::int64_t durable) const {
-  if (site_.meters == nullptr) return;
-  const auto now = std::chrono::steady_clock::now();
-  const std::int64_t queue_begin = received_ - static_cast<std::int64_t>(queue_.size());
-  for (std::int64_t i = std::max(durable_, queue_begin); i < std::min(durable, received_); ++i) {
-    const Item& item = queue_[static_cast<std::size_t>(i - queue_begin)];
-    site_.meters->durable_lag.Add(now - item.received_at);
-  }
+void Session::AddBacklog(std::int64_t frames) {
+  backlog_frames_ += frames;
+  if (site_.meters != nullptr) site_.meters->backlog_frames += frames;
 }
 
 void Session::Wake() {
@@ -633,6 +673,7 @@ void Session::Stop() {
   idle.get_future().wait();
   std::lock_guard lock(mutex_);
   AddInFlight(-bytes_in_flight_);
+  AddBacklog(-backlog_frames_);
 }
 
 }  // namespace soundmap::pipeline

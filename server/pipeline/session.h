@@ -63,7 +63,7 @@ class Session : public std::enable_shared_from_this<Session> {
   std::optional<localization::PoseEstimate> newest_pose() const;
   // By the newest frames that had their effect; none while the robot does not know where it is.
   std::optional<localization::OdometryFrame> odometry_frame() const;
-  // Payload bytes that were received and not yet processed.
+  // Payload bytes that were received and are not yet on disk.
   std::int64_t bytes_in_flight() const;
   // An unrecoverable fault (damage to the log); OK otherwise.
   absl::Status fault() const;
@@ -113,14 +113,16 @@ class Session : public std::enable_shared_from_this<Session> {
     std::variant<frames::Frame, Gap, End> content;
     std::int64_t log_time_ns = 0;
     std::int64_t payload_bytes = 0;
+  };
+  struct Pending {
+    std::int64_t payload_bytes = 0;
     std::chrono::steady_clock::time_point received_at;
   };
 
   Session(SessionRecord record, Site site);
   absl::Status Recover();
-  // Computes again what had its effect; then what is durable behind it waits in the queue.
+  // Computes again what had its effect.
   absl::Status Replay();
-  absl::Status FillQueue(storage::FrameReader& reader);
   absl::Status ReadNewestPose();
   absl::StatusOr<Item> Decode(const recording::Message& message) const;
   storage::SessionId id() const { return {commit_.site, commit_.session}; }
@@ -128,11 +130,16 @@ class Session : public std::enable_shared_from_this<Session> {
   // With mutex_ held.
   absl::Status CheckStream(std::int64_t epoch) const;
   void AddInFlight(std::int64_t bytes);
-  void MeasureDurableLag(std::int64_t durable) const;
+  void AddBacklog(std::int64_t frames);
+  void Queue(Item item);  // the frame received_
   void Wake();
 
   // On the strand, or before it runs.
   void Process();
+  // Puts what is durable and not in the queue into the batch, as much as a batch may have.
+  absl::Status ReadBatch(std::int64_t end);
+  bool IsBatchFull() const;
+  void Fail(const absl::Status& status);
   void Apply(Item item);
   // Whether frames wait to be heard that can be heard now.
   bool IsBehind() const;
@@ -151,16 +158,20 @@ class Session : public std::enable_shared_from_this<Session> {
   const std::string robot_;
   boost::asio::strand<boost::asio::any_io_executor> strand_;
 
-  mutable std::mutex mutex_;
-  SessionRecord record_;                      // guarded by mutex_, but for its constant parts
+  std::mutex record_mutex_;   // held while the record is stored; taken before mutex_
+  mutable std::mutex mutex_;  // never held while waiting for the disk
+  SessionRecord record_;      // guarded by mutex_, but for its constant parts
   std::shared_ptr<storage::SessionLog> log_;  // guarded by mutex_; null once complete
-  // Guarded by mutex_: frames next_ .. received_-1, bounded by the stream's credit. The counts
-  // include the end of the drive.
+  // Guarded by mutex_. The newest frames, up to received_-1, a bounded number of bytes: what the
+  // map is further behind is read from the log. The counts include the end of the drive.
   std::deque<Item> queue_;
+  std::int64_t queue_bytes_ = 0;
+  std::deque<Pending> pending_;  // frames durable_ .. received_-1, bounded by the stream's credit
   std::int64_t received_ = 0;
   std::int64_t durable_ = 0;
   std::int64_t processed_ = 0;
   std::int64_t bytes_in_flight_ = 0;
+  std::int64_t backlog_frames_ = 0;  // durable and not processed, until Stop()
   std::optional<localization::PoseEstimate> newest_pose_;
   std::optional<localization::OdometryFrame> odometry_frame_;
   std::optional<ClockOffset> stored_offset_;  // the newest that was to be stored
@@ -175,15 +186,16 @@ class Session : public std::enable_shared_from_this<Session> {
   // Strand-owned.
   StageClock clock_;
   std::unique_ptr<Listening> listening_;  // null while mapping
-  std::deque<Item> batch_;                // durable, to be processed next
-  std::int64_t heard_ = 0;                // the next frame to hear: what a lost robot heard waits
+  std::deque<Item> batch_;                // durable, to be processed next: frames from next_ on
+  std::int64_t batch_left_bytes_ = 0;     // of the frames in it
+  std::unique_ptr<storage::FrameReader> unread_;  // behind the batch, while the queue begins later
+  std::int64_t heard_ = 0;  // the next frame to hear: what a lost robot heard waits
   std::unique_ptr<storage::FrameReader> unheard_;  // at the frame heard_, while catching up
   // Poses and evidence of frames before these were stored before the server last started.
   std::int64_t stored_poses_ = 0;
   std::int64_t stored_evidence_ = 0;
   storage::Commit commit_;  // what the frames since the last commit led to
   std::int64_t next_ = 0;   // the next frame to process
-  std::int64_t batch_bytes_ = 0;
   frames::TimeNs batch_first_ns_ = 0;
   frames::TimeNs batch_last_ns_ = 0;
   frames::TimeNs heard_ns_ = 0;  // of the newest frame that was heard

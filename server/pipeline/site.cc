@@ -114,16 +114,16 @@ absl::StatusOr<std::shared_ptr<Session>> Site::CreateSession(const SessionReques
   if (!valid.ok()) return valid;
 
   std::lock_guard lock(mutex_);
-  if (const auto known = sessions_.find(request.session); known != sessions_.end()) {
-    const SessionRecord record = known->second->record();
+  if (const auto known = FindSession(request.session)) {
+    const SessionRecord record = known->record();
     if (record.robot != request.robot || record.purpose != request.purpose) {
       return absl::AlreadyExistsError(
           absl::StrCat("session '", request.session, "' exists already, for robot '", record.robot,
                        "' and another purpose or robot than was asked for"));
     }
-    const auto epoch = known->second->NextEpoch();
+    const auto epoch = known->NextEpoch();
     if (!epoch.ok()) return epoch.status();
-    return known->second;
+    return known;
   }
   if (request.purpose == Purpose::kListening) {
     if (!building_) {
@@ -149,6 +149,7 @@ absl::StatusOr<std::shared_ptr<Session>> Site::CreateSession(const SessionReques
   const absl::Status stored = store_->PutRecord(
       storage::Table::kSession, absl::StrCat(record.site, "/", record.session), ToJson(record));
   if (!stored.ok()) return stored;
+  std::lock_guard sessions_lock(sessions_mutex_);
   sessions_[record.session] = *session;
   return session;
 }
@@ -160,13 +161,13 @@ absl::StatusOr<std::shared_ptr<Session>> Site::GetSession(const std::string& nam
 }
 
 std::shared_ptr<Session> Site::FindSession(const std::string& name) const {
-  std::lock_guard lock(mutex_);
+  std::lock_guard lock(sessions_mutex_);
   const auto found = sessions_.find(name);
   return found == sessions_.end() ? nullptr : found->second;
 }
 
 std::vector<std::shared_ptr<Session>> Site::Sessions() const {
-  std::lock_guard lock(mutex_);
+  std::lock_guard lock(sessions_mutex_);
   std::vector<std::shared_ptr<Session>> sessions;
   for (const auto& [name, session] : sessions_) sessions.push_back(session);
   return sessions;

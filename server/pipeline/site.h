@@ -119,11 +119,13 @@ class Site : public std::enable_shared_from_this<Site> {
   std::unique_ptr<Region> region_;
   std::unique_ptr<LiveRobots> live_;
 
-  mutable std::mutex mutex_;
-  SiteRecord record_;                                   // guarded by mutex_
+  mutable std::mutex
+      mutex_;          // held while a session is made: nothing that a robot waits for needs it
+  SiteRecord record_;  // guarded by mutex_
   std::shared_ptr<const building::Building> building_;  // guarded by mutex_
   std::shared_ptr<const PreparedBuilding> prepared_;    // guarded by mutex_; null: not made yet
-  std::map<std::string, std::shared_ptr<Session>> sessions_;  // guarded by mutex_
+  mutable std::mutex sessions_mutex_;                   // taken after mutex_
+  std::map<std::string, std::shared_ptr<Session>> sessions_;  // guarded by sessions_mutex_
 };
 
 }  // namespace soundmap::pipeline

@@ -80,6 +80,7 @@ struct Tail {
   std::int64_t frames = 0;
   std::vector<std::uint32_t> payload_crcs;  // the last ones, at most the window
   std::map<std::string, std::string> schema_of_topic;
+  std::string last_topic;
   absl::Status damage;  // why reading ended, if not at a regular end
 };
 
@@ -110,6 +111,7 @@ absl::StatusOr<Tail> ReadTail(const Segment& segment, std::size_t crc_window) {
     }
     crcs.push_back(Crc32c((*message)->data));
     if (crcs.size() > crc_window) crcs.pop_front();
+    tail.last_topic = (*message)->topic;
     tail.schema_of_topic.emplace(std::move((*message)->topic), std::move((*message)->schema));
     ++tail.frames;
   }
@@ -199,6 +201,7 @@ struct SessionLog::State {
   std::int64_t pending_bytes = 0;
   std::deque<std::uint32_t> payload_crcs;  // of the last frames
   std::map<std::string, std::string> schema_of_topic;
+  std::string last_topic;  // of frame received-1
   absl::Status sync_error;
   bool closed = false;
 
@@ -210,6 +213,7 @@ struct SessionLog::State {
 
   std::int64_t received() const { return durable + static_cast<std::int64_t>(pending.size()); }
 
+  void ExtendLocked(FrameReader::State& reading) const;
   absl::Status CheckSpace() const;
   absl::Status WriteAndSync(const std::vector<const recording::Message*>& frames,
                             std::int64_t first_offset);
@@ -363,6 +367,7 @@ absl::StatusOr<std::shared_ptr<SessionLog>> SessionLog::Open(
       state->durable = end;
       state->payload_crcs.assign(tail->payload_crcs.begin(), tail->payload_crcs.end());
       state->schema_of_topic = std::move(tail->schema_of_topic);
+      state->last_topic = std::move(tail->last_topic);
       break;
     }
     // The crash came before the first frame of the segment was whole. Its name is needed again.
@@ -426,6 +431,7 @@ absl::StatusOr<std::int64_t> SessionLog::Append(recording::Message frame) {
                                                    schema->second, ", not ", frame.schema));
   }
   const std::int64_t offset = state.received();
+  state.last_topic = frame.topic;
   state.pending.push_back(std::move(frame));
   state.pending_bytes += bytes;
   state.RememberCrc(crc);
@@ -454,6 +460,11 @@ std::int64_t SessionLog::durable() const {
   return state_->durable;
 }
 
+std::string SessionLog::last_topic() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->last_topic;
+}
+
 std::optional<std::uint32_t> SessionLog::PayloadCrc(std::int64_t offset) const {
   const std::lock_guard lock(state_->mutex);
   const std::int64_t first =
@@ -471,14 +482,30 @@ absl::StatusOr<std::unique_ptr<FrameReader>> SessionLog::Read(std::int64_t first
                                                 state_->durable, " durable frames of ",
                                                 state_->folder));
     }
-    reading->end_offset = state_->durable;
-    for (const Segment& segment : state_->segments) {
-      if (segment.first_offset <= first_offset) reading->segments.clear();
-      if (segment.first_offset < state_->durable) reading->segments.push_back(segment);
-    }
+    reading->first_offset = first_offset;
+    state_->ExtendLocked(*reading);
   }
-  reading->first_offset = first_offset;
   return std::unique_ptr<FrameReader>(new FrameReader(std::move(reading)));
+}
+
+absl::Status SessionLog::Extend(FrameReader& reader) const {
+  {
+    const std::lock_guard lock(state_->mutex);
+    state_->ExtendLocked(*reader.state_);
+  }
+  return reader.state_->reader ? reader.state_->reader->TakeGrowth() : absl::OkStatus();
+}
+
+void SessionLog::State::ExtendLocked(FrameReader::State& reading) const {
+  for (const Segment& segment : segments) {
+    if (segment.first_offset >= durable) break;
+    std::vector<Segment>& known = reading.segments;
+    if (!known.empty() && segment.first_offset <= known.back().first_offset) continue;
+    // Of those that begin before the reader's first frame, the last one holds it.
+    if (segment.first_offset <= reading.first_offset) known.clear();
+    known.push_back(segment);
+  }
+  reading.end_offset = durable;
 }
 
 absl::Status SessionLog::Close() {

@@ -22,7 +22,8 @@ struct SessionLogOptions {
   recording::Compression compression = recording::Compression::kLz4;
 };
 
-// Frames of a session that were durable when the reader was made, in order. One thread at a time.
+// Frames of a session that were durable when the reader was made, or last extended, in order. One
+// thread at a time.
 class FrameReader {
  public:
   ~FrameReader();
@@ -68,11 +69,17 @@ class SessionLog {
   std::int64_t received() const;
   std::int64_t durable() const;
 
+  // Of the newest frame that was taken; empty while there is none.
+  std::string last_topic() const;
+
   // CRC-32C of the data of a frame; none before the window and from received() on.
   std::optional<std::uint32_t> PayloadCrc(std::int64_t offset) const;
 
   // Durable frames from `first_offset` on. OutOfRange if it is negative or beyond durable().
   absl::StatusOr<std::unique_ptr<FrameReader>> Read(std::int64_t first_offset) const;
+  // What has become durable since belongs to the reader, one of this log, as well: it goes on where
+  // it stands, without looking for its place again.
+  absl::Status Extend(FrameReader& reader) const;
 
   // Syncs and closes the segment at hand with its summary. Reading goes on; appending is over.
   absl::Status Close();

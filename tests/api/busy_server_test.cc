@@ -175,7 +175,11 @@ TEST_F(BusyServerTest, AWatcherGetsTheNewestStateOfARobotAndEveryScan) {
   }
   ASSERT_TRUE(event.has_snapshot_complete());
 
+  const auto lease = site->live().Open("r1", 0, 1).value();
   for (int i = 1; i <= kScans; ++i) {
+    pipeline::LiveView view{.session = "drive"};
+    view.report.recorded_frames = i;
+    ASSERT_TRUE(site->live().Report("r1", lease, std::move(view)).ok());
     for (const char* name : {"r1", "r2"}) {
       pipeline::RobotInfo robot;
       robot.robot = name;
@@ -188,13 +192,20 @@ TEST_F(BusyServerTest, AWatcherGetsTheNewestStateOfARobotAndEveryScan) {
     site->region().events().Publish(scan);
   }
   int states = 0;
+  int live_states = 0;
+  std::int64_t live_frames = 0;
   std::int64_t last_scan_ns = 0;
   std::map<std::string, std::int64_t> last_seen_ns;
-  while (last_scan_ns < kScans || last_seen_ns["robots/r1"] < kScans ||
+  while (last_scan_ns < kScans || live_frames < kScans || last_seen_ns["robots/r1"] < kScans ||
          last_seen_ns["robots/r2"] < kScans) {
     ASSERT_TRUE(watch->Read(&event));
     if (event.has_audio_scan()) {
       EXPECT_EQ(event.audio_scan().time_ns(), ++last_scan_ns);
+    }
+    if (event.has_live_robot()) {
+      ++live_states;
+      EXPECT_GE(event.live_robot().live().recorded_frames(), live_frames);
+      live_frames = event.live_robot().live().recorded_frames();
     }
     if (event.has_robot()) {
       ++states;
@@ -204,6 +215,7 @@ TEST_F(BusyServerTest, AWatcherGetsTheNewestStateOfARobotAndEveryScan) {
     }
   }
   EXPECT_LT(states, 2 * kScans);
+  EXPECT_LT(live_states, kScans);
   context.TryCancel();
 }
 

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <iterator>
 #include <map>
@@ -94,6 +95,43 @@ TEST(SessionLog, FramesComeBackInOrderAcrossSegmentsAndReopening) {
     }
   }
   EXPECT_GT(FilesUnder(folder, ".mcap").size(), 10u);
+}
+
+TEST(SessionLog, AReaderThatIsExtendedGoesOnWhereItStands) {
+  std::mt19937 random(2);
+  for (int round = 0; round < 20; ++round) {
+    const std::string folder = EmptyFolder("extended");
+    SessionLogOptions options;
+    options.segment_bytes = 1 + static_cast<std::int64_t>(random() % 20'000);
+    auto log = SessionLog::Open(folder, options).value();
+    AppendFrames(log.get(), static_cast<std::int64_t>(random() % 30));
+    ASSERT_TRUE(log->Sync().ok());
+    std::int64_t next = round == 0 ? 0 : log->durable() / 2;
+    const auto reader = log->Read(next).value();
+    std::int64_t end = log->durable();
+    for (int group = 0; group < 30; ++group) {
+      const std::int64_t stop = std::min(end, next + static_cast<std::int64_t>(random() % 20));
+      for (; next < stop; ++next) {
+        ASSERT_EQ(reader->next_offset(), next);
+        const auto frame = reader->Next();
+        ASSERT_TRUE(frame.ok() && frame->has_value()) << next << " " << frame.status();
+        ASSERT_EQ((*frame)->data, FrameAt(next).data);
+      }
+      if (next == end) {
+        ASSERT_FALSE(reader->Next().value().has_value()) << "nothing that it was not extended by";
+      }
+      AppendFrames(log.get(), log->received() + static_cast<std::int64_t>(random() % 15));
+      if (random() % 4 == 0) {
+        ASSERT_TRUE(log->Extend(*reader).ok());  // by what is durable, and no more
+        end = log->durable();
+      }
+      ASSERT_TRUE(log->Sync().ok());
+      if (random() % 2 == 0) {
+        ASSERT_TRUE(log->Extend(*reader).ok());
+        end = log->durable();
+      }
+    }
+  }
 }
 
 TEST(SessionLog, SegmentsAreRecordingsNamedByTheirFirstOffset) {

@@ -1,10 +1,12 @@
 """What is durable survives the end of the server, however it comes."""
 
+import json
 import re
+import subprocess
 import unittest
 import urllib.request
 
-from programs import DRIVES, ProgramTest, run, start
+from programs import BIN, DRIVES, ProgramTest, start, start_pose
 
 DRIVE = DRIVES / "drive.mcap"
 
@@ -84,11 +86,18 @@ class DurabilityTest(ProgramTest):
         self.make_site(server)
         crowd = start(server, "crowd", server.address, "site", "300", "50")
         self.addCleanup(crowd.kill)
+        fleet = subprocess.Popen([BIN / "fleet", server.address, "site", DRIVE, start_pose(DRIVE), "4"],
+                                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.addCleanup(fleet.kill)
+        fleet.stdout.readline()
         robots = [start(server, "soundmap-robot", *self.replay_arguments(DRIVE, robot=f"r{i}"), "--connect-timeout", "20") for i in range(4)]
         while self.processed(server) < 400:
             self.assertTrue(any(robot.poll() is None for robot in robots))
         durable = {session["id"]: session["durable"] for session in self.session_list(server)}
         self.assertEqual(server.stop(within_s=10), 0)
+        said = json.loads(fleet.communicate()[0])
+        self.assertEqual(said["ended_early"], 4)
+        self.assertTrue(said["warned_first"], "who watches the server's health hears of its end before the robots feel it")
         for robot in robots:
             robot.terminate()
             robot.communicate()
@@ -97,7 +106,7 @@ class DurabilityTest(ProgramTest):
         self.assertEqual([name for name in durable if received[name] < durable[name]], [])
         for i in range(4):
             self.replay(server, DRIVE, robot=f"r{i}")
-        driven = [session for session in self.session_list(server) if not session["robot"].split("/")[-1].startswith("idle")]
+        driven = [session for session in self.session_list(server) if session["robot"].split("/")[-1].startswith("r")]
         self.assertEqual(len({session["processed"] for session in driven}), 1, "each drove the same drive")
 
     def test_sigterm_in_the_middle_of_a_drive(self):

@@ -422,7 +422,9 @@ dir = "{self.folder / 'spool'}"
             away_s = abs(nearest["time_ns"] - live["odometry_time_ns"]) * 1e-9
             error_m = math.dist([nearest["x_m"], nearest["y_m"]],
                                 [live["map_from_base"]["x_m"], live["map_from_base"]["y_m"]])
-            self.assertLess(error_m, 0.3 + away_s)
+            # The odometry has carried on since the newest localized frame, longer on a busy machine: 1 % too far, turned by 0.0095 rad a metre.
+            carried_m = 0.6 * (live["odometry_time_ns"] - live["localized_time_ns"]) * 1e-9
+            self.assertLess(error_m, 0.2 + away_s + 0.01 * carried_m + 0.5 * 0.0095 * carried_m**2)
         # The offset is kept with the session.
         (session,) = self.session_list(server)
         self.assertEqual(len(session["clock_offsets"]), 1)

@@ -3,8 +3,8 @@
 
 usage: soak.py BIN WORK OUT [--minutes N] [--robots N] [--sessions N] [--watchers N] ...
 
-Real programs: robots that replay a simulated drive as fast as they drove it, one drive after the other; sessions whose robots send nothing;
-watchers of its sources and robots. Writes OUT.json with the figures and, unless told otherwise, OUT.svg with memory and queues over time. Ends with 1
+Real programs: robots that replay a simulated drive as fast as they drove it, one drive after the other, some of them the real agent, the others
+a program that sends what an agent has made ready; sessions whose robots send nothing; watchers of its sources and robots. Writes OUT.json with the figures and, unless told otherwise, OUT.svg with memory and queues over time. Ends with 1
 where a robot, an idle session or a watcher was cut, a frame that was durable is gone, or the server's memory grew by more than it may.
 """
 import argparse
@@ -38,13 +38,12 @@ def drive_until(stop, programs, server, drive, index, troubles):
 
 
 class Crowd:
-    """Idle sessions or watchers, in a process of their own."""
+    """Many peers of the server in a process of their own, until end()."""
 
-    def __init__(self, programs, server, sessions, watchers):
-        self.process = subprocess.Popen([programs.BIN / "crowd", server.address, SITE, str(sessions), str(watchers)],
-                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    def __init__(self, *command):
+        self.process = subprocess.Popen([str(part) for part in command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
-            sys.exit(f"{sessions} idle sessions and {watchers} watchers did not all come in")
+            sys.exit(f"{command} did not begin")
 
     def end(self):
         """What it counted; `ended_early` are those that the server cut."""
@@ -75,10 +74,11 @@ def plot(samples, path):
     matplotlib.use("svg")
     matplotlib.rcParams.update({"svg.hashsalt": "soundmap", "font.size": 9})
     from matplotlib import pyplot
-    figure, axes = pyplot.subplots(3, sharex=True, figsize=(8, 7), layout="constrained")
+    figure, axes = pyplot.subplots(4, sharex=True, figsize=(8, 9), layout="constrained")
     times = [s["time_s"] / 60 for s in samples]
-    for axis, field, label in zip(axes, ("memory_mb", "in_flight_mb", "cores"),
-                                  ("memory of the server [MB]", "frames in its queues [MB]", "processor of the server [cores]")):
+    for axis, field, label in zip(axes, ("memory_mb", "in_flight_mb", "backlog_frames", "cores"),
+                                  ("memory of the server [MB]", "waits for the disk [MB]", "waits for the map [frames]",
+                                   "processor of the server [cores]")):
         axis.plot(times, [s[field] for s in samples], linewidth=0.8)
         axis.set_ylabel(label)
         axis.set_ylim(bottom=0)
@@ -110,9 +110,9 @@ class Soak:
             return self.parse_metrics(answer.read().decode())
 
     def sessions(self, server):
-        """Of the robots that drive."""
+        """Of those that drive."""
         found = json.loads(self.ok(server, "soundmap", "sessions", SITE, "--format", "json"))["sessions"]
-        return {session["id"]: session for session in found if session["robot"].startswith("robot")}
+        return {session["id"]: session for session in found if session["robot"].startswith(("robot", "fleet"))}
 
     def drive(self, name, *arguments):
         path = (self.given.drives or self.given.work) / f"{name}.mcap"
@@ -135,10 +135,18 @@ class Soak:
             values, now = self.metrics(server), time.monotonic()
             samples.append({"time_s": now - begin, "memory_mb": values["process_resident_memory_bytes"] / 1e6,
                             "in_flight_mb": values["soundmap_in_flight_bytes"] / 1e6,
+                            "backlog_frames": values["soundmap_backlog_frames"],
                             "cores": (values["process_cpu_seconds_total"] - before["process_cpu_seconds_total"]) / (now - last),
                             "streams": values["soundmap_streams"], "watches": values["soundmap_watches"]})
             before, last = values, now
         return samples
+
+    def await_caught_up(self, server):
+        """How long it takes until no frame waits for the map."""
+        begin = time.monotonic()
+        while self.metrics(server)["soundmap_backlog_frames"] > 0:
+            time.sleep(0.1)
+        return time.monotonic() - begin
 
     def run(self):
         given = self.given
@@ -153,20 +161,24 @@ class Soak:
                     "--speed", "max", f"--initial-pose={self.programs.start_pose(mapping)}")
             self.ok(server, "soundmap", "map", "build", SITE)
             empty = self.metrics(server)
-            crowds = [Crowd(self.programs, server, given.sessions, 0), Crowd(self.programs, server, 0, given.watchers)]
+            crowd = self.programs.BIN / "crowd"
+            crowds = [Crowd(crowd, server.address, SITE, given.sessions, 0), Crowd(crowd, server.address, SITE, 0, given.watchers)]
             crowded = self.metrics(server)
+            agents = min(given.robots, given.agents)
 
             stop = threading.Event()
             robots = [threading.Thread(target=drive_until, args=(stop, self.programs, server, drive, i, self.troubles))
-                      for i in range(given.robots)]
+                      for i in range(agents)]
             begin = time.monotonic()
             for robot in robots:
                 robot.start()
+            crowds.append(Crowd(self.programs.BIN / "fleet", server.address, SITE, drive, self.programs.start_pose(drive),
+                                given.robots - agents))
             samples = self.sample(server, given.minutes)
             end, sessions, wall_s = self.metrics(server), self.sessions(server), time.monotonic() - begin
             data_bytes = sum(path.stat().st_size for path in data.rglob("*") if path.is_file())
             counted = [crowd.end() for crowd in crowds]
-            for who, counts in zip(("idle sessions", "watchers"), counted):
+            for who, counts in zip(("idle sessions", "watchers", "robots"), counted):
                 if counts["ended_early"]:
                     self.troubles.append(f"{counts['ended_early']} {who} were cut: {counts['error']}")
             stop.set()
@@ -177,6 +189,8 @@ class Soak:
             server = self.serve(data)
             recovery_s = time.monotonic() - begin
             after = self.sessions(server)
+            backlog = self.metrics(server)["soundmap_backlog_frames"]
+            caught_up_s = self.await_caught_up(server)
         finally:
             server.kill()
         lost = [name for name, session in sessions.items() if after[name]["received"] < session["durable"]]
@@ -194,14 +208,20 @@ class Soak:
             "memory_of_the_idle_mb": crowded_mb - empty["process_resident_memory_bytes"] / 1e6,
             "memory_mb": {"without_robots": crowded_mb, "last": memory[-1], "most": max(memory),
                           "growth_per_minute": slope_per_minute(samples, "memory_mb")},
+            "agents": agents,
             "in_flight_mb": {"mean": sum(s["in_flight_mb"] for s in samples) / len(samples),
                              "most": max(s["in_flight_mb"] for s in samples)},
             "cores_of_the_server": sum(s["cores"] for s in samples) / len(samples),
             "received_mb": (end["soundmap_received_bytes_total"] - crowded["soundmap_received_bytes_total"]) / 1e6,
             "share_of_real_time": driven_s / (given.robots * wall_s),
             "durable_lag_s": {"p50": lag_quantile(lags, 0.5), "p99": lag_quantile(lags, 0.99), "frames": max(lags.values())},
+            # From when the robot had the frame until it knew that it may forget it.
+            "forget_after_s": {name: counted[2][f"{name}_s"] for name in ("p50", "p99", "most")},
+            "without_credit_s": counted[2]["throttled_s"],
+            "backlog_frames": {"last": samples[-1]["backlog_frames"], "most": max(s["backlog_frames"] for s in samples)},
             "watched_events": counted[1]["events"], "resyncs": counted[1]["resyncs"],
-            "recovery": {"seconds": recovery_s, "sessions": given.sessions + len(sessions), "data_mb": data_bytes / 1e6},
+            "recovery": {"seconds": recovery_s, "sessions": given.sessions + len(sessions), "data_mb": data_bytes / 1e6,
+                         "backlog_frames": backlog, "caught_up_s": caught_up_s},
             "troubles": self.troubles,
         }
         print(json.dumps(figures, indent=1))
@@ -218,6 +238,7 @@ def main():
     parser.add_argument("out", type=pathlib.Path, help="without its suffix")
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--robots", type=int, default=50)
+    parser.add_argument("--agents", type=int, default=5, help="so many of the robots are the real program")
     parser.add_argument("--sessions", type=int, default=500)
     parser.add_argument("--watchers", type=int, default=200)
     parser.add_argument("--drives", type=pathlib.Path, help="folder with mapping.mcap and drive.mcap; without it they are simulated")
