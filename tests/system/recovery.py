@@ -98,7 +98,7 @@ class Recovery:
             took_s = time.monotonic() - begin
             after, values = self.sessions(server), self.metrics(server)
             lost = [name for name, session in sessions.items() if after[name]["received"] < session["durable"]]
-            driven_s = sum(session["last_frame_time_ns"] - session["first_frame_time_ns"] for session in after.values()) / 1e9
+            driven_s = sum(session["last_frame_time_ns"] - session["first_frame_time_ns"] for session in sessions.values()) / 1e9
             figures = {
                 "robots": given.robots, "hours_driven": driven_s / 3600, "drive_minutes": given.drive_minutes,
                 "data_mb": sum(path.stat().st_size for path in data.rglob("*") if path.is_file()) / 1e6,
