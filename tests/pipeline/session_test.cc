@@ -93,7 +93,10 @@ class BacklogTest : public ::testing::Test {
     }
   }
   void Await(const std::function<bool(const Watermarks&)>& is_so) {
-    while (!is_so(Drive().watermarks())) std::this_thread::yield();
+    while (!is_so(Drive().watermarks())) {
+      ASSERT_TRUE(Drive().fault().ok()) << Drive().fault();
+      std::this_thread::yield();
+    }
   }
   void AwaitDurable(std::int64_t frames) {
     Await([frames](const Watermarks& marks) { return marks.durable == frames; });

@@ -1,8 +1,8 @@
 // fleet SERVER SITE DRIVE POSE ROBOTS: so many robots that send the frames of a recorded drive as
-// they fall due, one drive after the other, until standard input ends. They speak the protocol of
-// the real agent and cost next to nothing: frames are coded once for all, and kept in memory.
-// Prints a JSON line when it begins, and one at the end: how long after they were due frames were
-// said to be durable.
+// they fall due, and again once the server has all in its map, until standard input ends. They
+// speak the protocol of the real agent and cost next to nothing: frames are coded once for all, and
+// kept in memory. Prints a JSON line when it begins, and one at the end: how long after they were
+// due frames were said to be durable.
 #include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/grpcpp.h>
 

@@ -8,54 +8,17 @@ server is killed and started again. Writes OUT.json. Ends with 1 where it took m
 """
 import argparse
 import json
-import os
 import pathlib
 import shutil
-import subprocess
 import sys
 import time
-import urllib.request
 
-TESTS = pathlib.Path(__file__).resolve().parent.parent
-SITE = "site"
+from soak import SITE, Soak
+
 MOST_S = 10.0
 
 
-class Recovery:
-    def __init__(self, given):
-        self.given = given
-        os.environ.update(SOUNDMAP_BIN=str(given.bin.resolve()), SOUNDMAP_DRIVES=str(given.work.resolve()),
-                          SOUNDMAP_SOURCE_DIR=str(TESTS.parent))
-        sys.path[:0] = [str(TESTS / "system"), str(TESTS / "benchmark")]
-        import programs  # reads the environment
-        from server import parse_metrics
-        self.programs = programs
-        self.parse_metrics = parse_metrics
-
-    def ok(self, server, *arguments):
-        result = self.programs.run(server, *arguments)
-        if result.returncode != 0:
-            sys.exit(f"{' '.join(map(str, arguments))}: {result.stderr}")
-        return result.stdout
-
-    def metrics(self, server):
-        with urllib.request.urlopen(f"http://{server.http_address}/metrics", timeout=60) as answer:
-            return self.parse_metrics(answer.read().decode())
-
-    def sessions(self, server):
-        found = json.loads(self.ok(server, "soundmap", "sessions", SITE, "--format", "json"))["sessions"]
-        return {session["id"]: session for session in found if session["robot"].startswith("robot")}
-
-    def drive(self, name, *arguments):
-        path = self.given.work / f"{name}.mcap"
-        if not path.exists():
-            subprocess.run([self.given.bin / "soundmap-robot", "simulate", "grill_room", "--out", path, *arguments],
-                           check=True, stdout=subprocess.DEVNULL)
-        return path
-
-    def serve(self, data):
-        return self.programs.Server(data, "--log-level", "warning", "--max-calls-per-s", "10000")
-
+class Recovery(Soak):
     def run(self):
         given = self.given
         given.work.mkdir(parents=True, exist_ok=True)
@@ -98,7 +61,7 @@ class Recovery:
             took_s = time.monotonic() - begin
             after, values = self.sessions(server), self.metrics(server)
             lost = [name for name, session in sessions.items() if after[name]["received"] < session["durable"]]
-            driven_s = sum(session["last_frame_time_ns"] - session["first_frame_time_ns"] for session in after.values()) / 1e9
+            driven_s = sum(session["last_frame_time_ns"] - session["first_frame_time_ns"] for session in sessions.values()) / 1e9
             figures = {
                 "robots": given.robots, "hours_driven": driven_s / 3600, "drive_minutes": given.drive_minutes,
                 "data_mb": sum(path.stat().st_size for path in data.rglob("*") if path.is_file()) / 1e6,
@@ -121,6 +84,7 @@ def main():
     parser.add_argument("bin", type=pathlib.Path)
     parser.add_argument("work", type=pathlib.Path, help="takes the server's data, keeps simulated drives")
     parser.add_argument("out", type=pathlib.Path, help="without its suffix")
+    parser.add_argument("--drives", type=pathlib.Path, help="folder with mapping.mcap and drive_SECONDS.mcap; without it they are simulated")
     parser.add_argument("--robots", type=int, default=10)
     parser.add_argument("--minutes", type=float, default=60.0, help="that each robot drives")
     parser.add_argument("--drive-minutes", type=float, default=1.4, help="of one drive; the simulated one ends after 88 s")
