@@ -25,6 +25,11 @@ void serialize(Archive& archive, soundmap::sound_map::HeardPeak& peak, unsigned)
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::ArrayPlane& plane, unsigned) {
+  archive& plane.origin_in_map_m& plane.normal_in_map;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::sound_map::ViewPoint& view_point, unsigned) {
   archive& view_point.place_in_map_m& view_point.level_scans& view_point.power_at_1m;
 }
@@ -45,7 +50,7 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::Track& tra
   archive& track.source& track.judged_ns& track.log_odds_on& track.found_ns& track
       .active_until_ns& track.left& track.listened_scans& track.heard_scans& track.sure_scans& track
       .silent_s& track.announced& track.position_scans& track.mean_in_map_m& track.scatter_m2& track
-      .views& track.past_views& track.past_views_heard;
+      .views& track.past_views& track.past_views_heard& track.planar_scans& track.mirrors;
 }
 
 template <class Archive>
@@ -60,15 +65,17 @@ namespace {
 
 constexpr std::uint32_t kSourceRegisterVersion = 2;
 // Entries from before levels were measured have none, and begin with the length of a name.
-constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0002;
+constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0003;
+constexpr std::uint64_t kAudioScanVersionWithoutPlane = 0xffff'ffff'0000'0002;
 
 }  // namespace
 
 std::string EncodePose(const localization::PoseEstimate& pose) { return ToBytes(pose); }
 
 std::string EncodeAudioScan(const AudioScanInfo& scan) {
+  const sound_map::ArrayPlane plane = scan.array_plane.value_or(sound_map::ArrayPlane());
   return ToBytes(kAudioScanVersion, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
-                 scan.end_points, scan.heard);
+                 scan.end_points, scan.heard, scan.array_plane.has_value(), plane);
 }
 
 std::string EncodeSourceRegister(const sound_map::SourceRegister::State& state) {
@@ -87,12 +94,19 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   absl::Status status = FromBytes(bytes, version);
   if (!status.ok()) return status;
   AudioScanInfo scan;
-  status =
-      version == kAudioScanVersion
-          ? FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
-                      scan.end_points, scan.heard)
-          : FromBytes(bytes, scan.robot, scan.pose, scan.noise_floor, scan.peaks, scan.end_points);
+  bool has_plane = false;
+  sound_map::ArrayPlane plane;
+  if (version == kAudioScanVersion) {
+    status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                       scan.end_points, scan.heard, has_plane, plane);
+  } else if (version == kAudioScanVersionWithoutPlane) {
+    status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                       scan.end_points, scan.heard);
+  } else {
+    status = FromBytes(bytes, scan.robot, scan.pose, scan.noise_floor, scan.peaks, scan.end_points);
+  }
   if (!status.ok()) return status;
+  if (has_plane) scan.array_plane = plane;
   return scan;
 }
 

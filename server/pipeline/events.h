@@ -27,6 +27,7 @@ struct AudioScanInfo {
   std::vector<acoustics::Peak> peaks;
   std::int64_t end_points = 0;
   std::vector<sound_map::HeardPeak> heard;
+  std::optional<sound_map::ArrayPlane> array_plane;
 };
 
 // A robot that has had a session here, or reports live.

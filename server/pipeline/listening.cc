@@ -445,10 +445,16 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   }
   ++counters.audio_scans;
   scan.likelihood.clear();
+  const Eigen::Isometry3d map_from_array =
+      pose->map_from_base.ToIsometry() * calibration.base_from_array;
   std::vector<sound_map::HeardPeak> heard =
-      PlacePeaks(scan, *evidence, pose->map_from_base.ToIsometry() * calibration.base_from_array,
-                 profile.sound_map.voxel_size_m);
-  output.scans.push_back({std::move(scan), *pose, *std::move(evidence), std::move(heard)});
+      PlacePeaks(scan, *evidence, map_from_array, profile.sound_map.voxel_size_m);
+  std::optional<sound_map::ArrayPlane> array_plane;
+  if (const auto normal = scanner->array_normal()) {
+    array_plane = {map_from_array.translation(), map_from_array.linear() * *normal};
+  }
+  output.scans.push_back(
+      {std::move(scan), *pose, *std::move(evidence), std::move(heard), array_plane});
 }
 
 std::vector<std::string> Listening::Warnings() const {

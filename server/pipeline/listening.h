@@ -32,6 +32,7 @@ class Listening {
     localization::PoseEstimate pose;
     sound_map::EvidenceScan evidence;
     std::vector<sound_map::HeardPeak> heard;
+    std::optional<sound_map::ArrayPlane> array_plane;
   };
   // What some frames led to.
   struct Output {

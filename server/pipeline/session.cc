@@ -552,7 +552,8 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
                              scan.audio.noise_floor,
                              std::move(scan.audio.peaks),
                              static_cast<std::int64_t>(scan.evidence.end_points.size()),
-                             std::move(scan.heard)};
+                             std::move(scan.heard),
+                             scan.array_plane};
     commit_.journal.push_back({offset, EncodeAudioScan(info), std::move(scan.evidence)});
   }
 }

@@ -34,6 +34,14 @@ struct HeardPeak {
   bool operator==(const HeardPeak&) const = default;
 };
 
+// The plane of microphones that lie in one: they hear above and below it alike.
+struct ArrayPlane {
+  Eigen::Vector3d origin_in_map_m = Eigen::Vector3d::Zero();
+  Eigen::Vector3d normal_in_map = Eigen::Vector3d::UnitZ();  // unit vector
+
+  bool operator==(const ArrayPlane&) const = default;
+};
+
 // Where a robot stood that heard a source, and how loud it was from there.
 struct ViewPoint {
   Eigen::Vector2d place_in_map_m = Eigen::Vector2d::Zero();

@@ -6,6 +6,8 @@
 #include <tuple>
 #include <utility>
 
+#include "geometry/angles.h"
+
 namespace soundmap::sound_map {
 namespace {
 
@@ -48,6 +50,16 @@ constexpr double kMaxEvidence = 1000.0;
 constexpr double kMaxPastViews = 32.0;
 // Robots whose present views are told apart.
 constexpr std::size_t kMaxPresentViews = 16;
+
+// Directions are mirrored within this angle; nearer to the plane above and below are one.
+const double kMirrorCosine = std::cos(geometry::RadFromDeg(8.0));
+constexpr double kMinPlanarScans = 16.0;
+constexpr double kMaxPlanarScans = 1024.0;  // more are halved
+constexpr double kLeastMirrored = 0.5;
+// That the weaker of two mirrored places is the source.
+constexpr double kMirrorProbability = 0.3;
+// A source that was announced is not ruled out by one that is only just stronger.
+constexpr double kAnnouncedWeight = 1.5;
 
 bool Heard(const SourceRegister::View& view) {
   return view.with_maximum > 0 && view.with_maximum >= kLeastHeard * view.scans;
@@ -143,6 +155,7 @@ void SourceRegister::Observe(const Observation& scan) {
       }
     }
   }
+  if (scan.array_plane) CountMirrors(*scan.array_plane);
   for (const int i : touched_) Listen(state_.tracks[i], std::exchange(hits_[i], {}), scan);
   touched_.clear();
 }
@@ -196,6 +209,57 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
   const Eigen::Matrix3d scatter_m2 = 0.5 * (track.scatter_m2 + track.scatter_m2.transpose());
   source.position_covariance_m2 = scatter_m2 / (static_cast<double>(track.position_scans) * views) +
                                   voxel_m2 * Eigen::Matrix3d::Identity();
+}
+
+void SourceRegister::CountMirrors(const ArrayPlane& plane) {
+  std::vector<std::pair<int, Eigen::Vector3d>> heard;  // the tracks' directions
+  for (const int i : touched_) {
+    if (hits_[i].supporting == 0) continue;
+    Track& track = state_.tracks[i];
+    if (track.planar_scans >= kMaxPlanarScans) {
+      track.planar_scans /= 2.0;
+      for (auto& [id, scans] : track.mirrors) scans /= 2.0;
+    }
+    track.planar_scans += 1.0;
+    heard.emplace_back(i,
+                       (track.source.found.position_in_map_m - plane.origin_in_map_m).normalized());
+  }
+  for (std::size_t a = 0; a < heard.size(); ++a) {
+    const Eigen::Vector3d& direction = heard[a].second;
+    const Eigen::Vector3d image =
+        direction - 2.0 * plane.normal_in_map.dot(direction) * plane.normal_in_map;
+    if (image.dot(direction) > kMirrorCosine) continue;
+    for (std::size_t b = a + 1; b < heard.size(); ++b) {
+      if (image.dot(heard[b].second) < kMirrorCosine) continue;
+      Track& one = state_.tracks[heard[a].first];
+      Track& other = state_.tracks[heard[b].first];
+      one.mirrors[other.source.found.id] += 1.0;
+      other.mirrors[one.source.found.id] += 1.0;
+    }
+  }
+}
+
+void SourceRegister::RuleOutMirrors() {
+  const auto strength = [](const Track& track) {
+    return std::pair(track.source.found.evidence * (track.announced ? kAnnouncedWeight : 1.0),
+                     track.source.found.id);
+  };
+  std::set<std::uint64_t> ids;
+  for (const Track& track : state_.tracks) ids.insert(track.source.found.id);
+  for (Track& track : state_.tracks) {
+    std::erase_if(track.mirrors, [&](const auto& mirror) { return ids.count(mirror.first) == 0; });
+    if (track.source.state != SourceState::kActive || track.planar_scans < kMinPlanarScans)
+      continue;
+    for (const Track& other : state_.tracks) {
+      const auto mirrored = track.mirrors.find(other.source.found.id);
+      if (mirrored == track.mirrors.end() || !(strength(track) < strength(other)) ||
+          mirrored->second < kLeastMirrored * track.planar_scans) {
+        continue;
+      }
+      double& probability = track.source.found.probability;
+      probability = std::min(probability, kMirrorProbability);
+    }
+  }
 }
 
 void SourceRegister::See(Track& track, bool at_maximum, const Observation& scan) const {
@@ -267,6 +331,7 @@ void SourceRegister::JudgeActivity(Track& track, bool heard, frames::TimeNs stam
 std::vector<SourceEvent> SourceRegister::Update(const std::vector<SoundSource>& found) {
   std::vector<SourceEvent> events;
   Join(found, events);
+  RuleOutMirrors();
   ChangeStates(events);
   Move(events);
   Forget();

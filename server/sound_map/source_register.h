@@ -5,6 +5,7 @@
 #include <boost/unordered/unordered_flat_map.hpp>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -42,6 +43,10 @@ struct SourceEvent {
 // by logistic regression over 492 candidates of 53 simulated rooms. Old views are forgotten, and e
 // counts up to 1000, so that a ghost does not become sure with time.
 //
+// An array in a plane hears a source and its mirror image alike. Of two places that it hears in
+// mirrored directions, in half of the scans that hear the weaker one, the one with more evidence is
+// the source; the other one is kept as improbable.
+//
 // A scan listens to a source if it has an end point within core_radius_m of it, and hears it if one
 // of these supports a source. Silence counts only near where robots have heard the source before:
 // the share of such scans that heard it while active, against that which hear something at a silent
@@ -56,6 +61,7 @@ class SourceRegister {
     Eigen::Vector2d robot_in_map_m = Eigen::Vector2d::Zero();
     const EvidenceScan* evidence = nullptr;
     const std::vector<HeardPeak>* peaks = nullptr;  // may be null: none
+    std::optional<ArrayPlane> array_plane;
   };
 
   explicit SourceRegister(const SoundMapConfig& config);
@@ -95,6 +101,8 @@ class SourceRegister {
     std::map<std::string, View> views;  // present ones, by robot
     double past_views = 0.0;            // old ones are forgotten
     double past_views_heard = 0.0;
+    double planar_scans = 0.0;                // that heard it with an array in a plane
+    std::map<std::uint64_t, double> mirrors;  // of these, that heard this one where its image is
   };
   // All that the future depends on.
   struct State {
@@ -116,6 +124,8 @@ class SourceRegister {
 
   bool IsSure(const Track& track) const;
   void Listen(Track& track, const Hit& hit, const Observation& scan);
+  void CountMirrors(const ArrayPlane& plane);
+  void RuleOutMirrors();
   void See(Track& track, bool at_maximum, const Observation& scan) const;
   double ProbabilityOf(const Track& track) const;
   void JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns);

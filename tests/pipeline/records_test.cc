@@ -76,6 +76,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   scan.noise_floor = 3.25;
   scan.peaks = {{Eigen::Vector3d(0, 0, 1), 17.0}, {Eigen::Vector3d(0, 1, 0), 5.0}};
   scan.end_points = 9;
+  scan.array_plane = {{1.0, 2.0, 1.0 / 3.0}, Eigen::Vector3d(0.0, 0.6, 0.8)};
   const std::string bytes = EncodeAudioScan(scan);
   const auto read = DecodeAudioScan(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
@@ -83,6 +84,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   EXPECT_EQ(read->pose.map_from_base, scan.pose.map_from_base);
   EXPECT_EQ(read->pose.covariance, scan.pose.covariance);
   EXPECT_EQ(read->pose.state, scan.pose.state);
+  EXPECT_EQ(read->array_plane, scan.array_plane);
   ASSERT_EQ(read->peaks.size(), 2u);
   EXPECT_EQ(read->peaks[1].direction_in_array, scan.peaks[1].direction_in_array);
   for (std::size_t cut = 0; cut < bytes.size(); ++cut) {

@@ -6,6 +6,7 @@
 #include <functional>
 #include <optional>
 #include <random>
+#include <set>
 
 #include "sound_map/sound_map.h"
 
@@ -414,6 +415,47 @@ TEST(SourceRegister, ARobotThatStandsStillHasOneView) {
   EXPECT_EQ(after(1, {"r1"}), after(1000, {"r1"}));
   EXPECT_GT(after(8, {"r1", "r2"}), after(8, {"r1"}));
   EXPECT_LT(after(1000, {"r1"}), 0.7);
+}
+
+// A wall that an array in a horizontal plane 1.2 m above the floor drives past: what is 0.7 m below
+// the plane is heard from everywhere 0.7 m above it, too. A third place is heard by itself.
+TEST(SourceRegister, OfTwoMirroredPlacesTheStrongerIsTheSource) {
+  const auto key = [](double x_m, double z_m) {
+    return *geometry::KeyFromPoint(Eigen::Vector3d(x_m, 4.0, z_m), kVoxel_m);
+  };
+  const auto place = [](std::uint64_t id, double x_m, double z_m, double evidence) {
+    SoundSource source = Found(id, x_m, 0.9, 100);
+    source.position_in_map_m = {x_m, 4.0, z_m};
+    source.evidence = evidence;
+    return source;
+  };
+  const auto reported = [&](std::optional<ArrayPlane> plane, double lower, double upper) {
+    SourceRegister sources(DefaultConfig());
+    const std::vector<SoundSource> found = {place(1, 3.0, 0.5, lower), place(2, 3.0, 1.9, upper),
+                                            place(3, 3.0, 2.6, 300.0)};
+    sources.Update(found);
+    for (int scan = 0; scan < 80; ++scan) {
+      EvidenceScan evidence{200 + scan * kScan_ns,
+                            {{key(3.0, 0.5), 0.9f}, {key(3.0, 1.9), 0.9f}, {key(3.0, 2.6), 0.9f}},
+                            {key(3.0, 0.5), key(3.0, 1.9), key(3.0, 2.6)}};
+      const Eigen::Vector2d robot(0.0625 * scan, 1.0);
+      if (plane) plane->origin_in_map_m << robot, 1.2;
+      sources.Observe({"r1", robot, &evidence, nullptr, plane});
+    }
+    sources.Update(found);
+    std::set<std::uint64_t> ids;
+    for (const RegisteredSource& source : sources.Sources()) {
+      if (source.found.probability >= 0.5) ids.insert(source.found.id);
+    }
+    return ids;
+  };
+  using Ids = std::set<std::uint64_t>;
+  EXPECT_EQ(reported(std::nullopt, 400.0, 100.0), Ids({1, 2, 3}));  // heard in space
+  EXPECT_EQ(reported(ArrayPlane(), 400.0, 100.0), Ids({1, 3}));
+  EXPECT_EQ(reported(ArrayPlane(), 100.0, 400.0), Ids({2, 3}));
+  ArrayPlane upright;  // mirrors elsewhere
+  upright.normal_in_map = Eigen::Vector3d::UnitX();
+  EXPECT_EQ(reported(upright, 400.0, 100.0), Ids({1, 2, 3}));
 }
 
 // A share of the views that stays the same does not become certainty.
