@@ -470,7 +470,11 @@ TEST(SourceRegister, AGhostDoesNotBecomeSureWithTime) {
     sources.Observe({"r1", Eigen::Vector2d(view % 2 == 0 ? 1.0 : 3.0, 2.0), &evidence});
     sources.Update(found);
   }
-  EXPECT_LT(sources.Sources()[0].found.probability, 0.5);
+  const double probability = sources.Sources()[0].found.probability;
+  EXPECT_LT(probability, 0.5);
+  found[0].evidence = 1e6;
+  sources.Update(found);
+  EXPECT_EQ(sources.Sources()[0].found.probability, probability);
 }
 
 TEST(SourceRegister, TwoThatBecomeOneKeepTheOlderNameAndASplitGivesANewOne) {
