@@ -10,7 +10,8 @@
 namespace soundmap::storage {
 
 // The value of a journal entry, as FORMAT.md says. Likelihoods keep their bits, end points their
-// order. InvalidArgument: more than 2^20 end points, or a summary longer than 64 KiB.
+// order. InvalidArgument: more than 2^20 end points or 2^16 maxima, or a summary longer than 64
+// KiB.
 absl::StatusOr<std::string> EncodeJournalEntry(const std::string& session,
                                                const JournalEntry& entry);
 
