@@ -108,6 +108,7 @@ Json ToJson(const Site& site) {
           {"building_version", site.building_version},
           {"voxel_size_m", site.voxel_size_m},
           {"max_range_m", site.max_range_m},
+          {"keep_frames_s", site.keep_frames_s},
           {"parameters_toml", site.parameters_toml}};
 }
 
@@ -135,6 +136,7 @@ Json ToJson(const Session& session) {
           {"last_frame_time_ns", session.last_frame_time_ns},
           {"building_version", session.building_version},
           {"audio_scans", session.audio_scans},
+          {"frames_dropped", session.frames_dropped},
           {"gaps", std::move(gaps)},
           {"clock_offsets", ListToJson("offsets", session.clock_offsets)["offsets"]}};
 }

@@ -15,14 +15,29 @@ struct SiteArguments {
   std::string site;
   std::string map;
   std::string profile;
+  std::int64_t keep_frames_s = 0;
   std::string format;
 };
 
+// In the largest unit that divides it.
+std::string KeepText(std::int64_t seconds) {
+  const std::pair<std::int64_t, const char*> units[] = {{86400, " d"}, {3600, " h"}, {60, " min"}};
+  for (const auto& [unit_s, name] : units) {
+    if (seconds % unit_s == 0) return absl::StrCat(seconds / unit_s, name);
+  }
+  return absl::StrCat(seconds, " s");
+}
+
 void PrintSites(const std::vector<Site>& sites) {
-  Table table({{"SITE"}, {"PROFILE"}, {"MAP VERSION", Table::Align::kRight}, {"CREATED"}});
+  Table table({{"SITE"},
+               {"PROFILE"},
+               {"MAP VERSION", Table::Align::kRight},
+               {"CREATED"},
+               {"FRAMES ARE KEPT"}});
   for (const Site& site : sites) {
     table.Add({site.id, site.profile, absl::StrCat(site.building_version),
-               FormatTime(site.create_time_ns)});
+               FormatTime(site.create_time_ns),
+               site.keep_frames_s == 0 ? "for ever" : KeepText(site.keep_frames_s)});
   }
   table.Print(std::cout);
 }
@@ -64,6 +79,13 @@ absl::Status Show(Client& client, const SiteArguments& arguments) {
   if (!site.ok()) return site.status();
   PrintSite(*site, arguments.format);
   if (arguments.format != "json") std::cout << '\n' << site->parameters_toml;
+  return absl::OkStatus();
+}
+
+absl::Status Set(Client& client, const SiteArguments& arguments) {
+  const auto site = client.KeepFrames(arguments.site, arguments.keep_frames_s);
+  if (!site.ok()) return site.status();
+  PrintSite(*site, arguments.format);
   return absl::OkStatus();
 }
 
@@ -112,6 +134,14 @@ void AddSiteCommands(CLI::App& app, CommandLine& line) {
       ->capture_default_str();
   add("list", "list the sites", List, false);
   add("show", "show a site and its parameters", Show, true);
+  const auto [set, changed] = add("set", "change what a site does", Set, true);
+  set->add_option("--keep-frames", changed->keep_frames_s,
+                  "how long the frames of a listening drive are kept from when it was begun, once "
+                  "they are in the map: 12h, 30d; 0s: for ever")
+      ->required()
+      ->transform(CLI::AsNumberWithUnit(
+          std::map<std::string, std::int64_t>{{"s", 1}, {"min", 60}, {"h", 3600}, {"d", 86400}},
+          CLI::AsNumberWithUnit::UNIT_REQUIRED));
   add("delete", "delete a site with its map, sessions and recordings", Delete, true);
 }
 

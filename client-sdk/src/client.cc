@@ -89,6 +89,18 @@ absl::StatusOr<std::vector<Site>> Client::ListSites() {
   return sites;
 }
 
+absl::StatusOr<Site> Client::KeepFrames(const std::string& site, std::int64_t seconds) {
+  v1::UpdateSiteRequest request;
+  request.mutable_site()->set_name(internal::SiteName(site));
+  request.mutable_site()->set_keep_frames_s(seconds);
+  request.mutable_update_mask()->add_paths("keep_frames_s");
+  const auto response =
+      connection_->Call<v1::Site>(Connection::Repeat::kOnUnavailable, *connection_->sites,
+                                  &v1::SiteService::Stub::UpdateSite, request);
+  if (!response.ok()) return response.status();
+  return FromProto(*response);
+}
+
 absl::Status Client::DeleteSite(const std::string& site) {
   v1::DeleteSiteRequest request;
   request.set_name(internal::SiteName(site));

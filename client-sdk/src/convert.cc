@@ -121,7 +121,8 @@ Site FromProto(const v1::Site& wire) {
           .building_version = wire.building_version(),
           .parameters_toml = wire.parameters_toml(),
           .voxel_size_m = wire.voxel_size_m(),
-          .max_range_m = wire.max_range_m()};
+          .max_range_m = wire.max_range_m(),
+          .keep_frames_s = wire.keep_frames_s()};
 }
 
 namespace {
@@ -179,7 +180,8 @@ Session FromProto(const v1::Session& wire) {
           .building_version = wire.building_version(),
           .audio_scans = wire.audio_scans(),
           .gaps = std::move(gaps),
-          .clock_offsets = std::move(clock_offsets)};
+          .clock_offsets = std::move(clock_offsets),
+          .frames_dropped = wire.frames_dropped()};
 }
 
 Robot FromProto(const v1::Robot& wire) {

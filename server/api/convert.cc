@@ -98,6 +98,7 @@ v1::Site ToProto(const pipeline::Site& site) {
   proto.set_parameters_toml(record.parameters_toml);
   proto.set_voxel_size_m(site.profile().sound_map.voxel_size_m);
   proto.set_max_range_m(site.profile().ray_casting.max_range_m);
+  proto.set_keep_frames_s(record.keep_frames_s);
   return proto;
 }
 
@@ -126,6 +127,7 @@ v1::Session ToProto(const pipeline::Session& session) {
   proto.set_last_frame_time_ns(record.last_frame_ns);
   proto.set_building_version(record.building_version);
   proto.set_audio_scans(record.audio_scans);
+  proto.set_frames_dropped(record.frames_dropped);
   for (const pipeline::Gap& gap : record.gaps) {
     v1::FrameGap& wire = *proto.add_gaps();
     wire.set_offset(gap.offset);

@@ -1,5 +1,6 @@
 #include "api/site_service.h"
 
+#include "absl/strings/str_cat.h"
 #include "api/convert.h"
 #include "api/find.h"
 #include "api/paging.h"
@@ -43,6 +44,27 @@ grpc::ServerUnaryReactor* SiteService::ListSites(grpc::CallbackServerContext* co
   }
   response->set_next_page_token(page->next_token);
   return Finish(context, absl::OkStatus());
+}
+
+grpc::ServerUnaryReactor* SiteService::UpdateSite(grpc::CallbackServerContext* context,
+                                                  const v1::UpdateSiteRequest* request,
+                                                  v1::Site* response) {
+  const AuditedFinish finish(access_, context, "update site", request->site().name());
+  const auto site = FindSite(*sites_, request->site().name(), {access_, context, Right::kAdmin});
+  if (!site.ok()) return finish(site.status());
+  if (request->update_mask().paths().empty()) {
+    return finish(absl::InvalidArgumentError("the update mask names no field"));
+  }
+  for (const std::string& path : request->update_mask().paths()) {
+    if (path != "keep_frames_s") {
+      return finish(absl::InvalidArgumentError(
+          absl::StrCat("the field '", path, "' of a site cannot be changed")));
+    }
+  }
+  const absl::Status kept = (*site)->KeepFrames(request->site().keep_frames_s());
+  if (!kept.ok()) return finish(kept);
+  *response = ToProto(**site);
+  return finish(absl::OkStatus());
 }
 
 grpc::ServerUnaryReactor* SiteService::DeleteSite(grpc::CallbackServerContext* context,

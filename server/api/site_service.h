@@ -18,6 +18,9 @@ class SiteService : public v1::SiteService::CallbackService {
   grpc::ServerUnaryReactor* ListSites(grpc::CallbackServerContext* context,
                                       const v1::ListSitesRequest* request,
                                       v1::ListSitesResponse* response) override;
+  grpc::ServerUnaryReactor* UpdateSite(grpc::CallbackServerContext* context,
+                                       const v1::UpdateSiteRequest* request,
+                                       v1::Site* response) override;
   grpc::ServerUnaryReactor* DeleteSite(grpc::CallbackServerContext* context,
                                        const v1::DeleteSiteRequest* request,
                                        v1::DeleteSiteResponse* response) override;

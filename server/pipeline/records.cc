@@ -112,7 +112,8 @@ std::string ToJson(const SiteRecord& record) {
               {"create_time_ns", record.create_time_ns},
               {"building_version", record.building_version},
               {"building_sessions", record.building_sessions},
-              {"create_request_id", record.create_request_id}}
+              {"create_request_id", record.create_request_id},
+              {"keep_frames_s", record.keep_frames_s}}
       .dump();
 }
 
@@ -131,7 +132,8 @@ std::string ToJson(const SessionRecord& record) {
             {"frame_count", record.frame_count},
             {"first_frame_ns", record.first_frame_ns},
             {"last_frame_ns", record.last_frame_ns},
-            {"audio_scans", record.audio_scans}};
+            {"audio_scans", record.audio_scans},
+            {"frames_dropped", record.frames_dropped}};
   if (record.initial_pose) {
     json["initial_pose"] = {record.initial_pose->x_m, record.initial_pose->y_m,
                             record.initial_pose->yaw_rad};
@@ -162,6 +164,7 @@ absl::StatusOr<SiteRecord> SiteRecordFromJson(const std::string& text) {
     record.building_version = json.at("building_version");
     record.building_sessions = json.value("building_sessions", std::vector<std::string>{});
     record.create_request_id = json.value("create_request_id", "");
+    record.keep_frames_s = json.value("keep_frames_s", std::int64_t{0});
     return record;
   });
 }
@@ -187,6 +190,7 @@ absl::StatusOr<SessionRecord> SessionRecordFromJson(const std::string& text) {
     record.first_frame_ns = json.at("first_frame_ns");
     record.last_frame_ns = json.at("last_frame_ns");
     record.audio_scans = json.at("audio_scans");
+    record.frames_dropped = json.value("frames_dropped", false);
     for (const Json& gap : json.value("gaps", Json::array())) {
       record.gaps.push_back({gap.at("offset"), gap.at("frames"), gap.at("from_ns"), gap.at("to_ns"),
                              gap.at("reason")});

@@ -21,6 +21,7 @@ struct SiteRecord {
   std::int64_t building_version = 0;           // 0: no geometric map yet
   std::vector<std::string> building_sessions;  // the drives that it was made from
   std::string create_request_id;               // empty: the client gave none
+  std::int64_t keep_frames_s = 0;              // of listening drives; 0: for ever
 };
 
 enum class Purpose { kListening, kMapping };
@@ -68,6 +69,7 @@ struct SessionRecord {
   frames::TimeNs first_frame_ns = 0;
   frames::TimeNs last_frame_ns = 0;
   std::int64_t audio_scans = 0;
+  bool frames_dropped = false;  // the site does not keep them so long
 
   std::int64_t lost_frames() const;
   std::optional<ClockOffset> newest_offset() const;

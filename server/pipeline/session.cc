@@ -642,7 +642,29 @@ absl::Status Session::Complete() {
   log_.reset();
   Wake();
   lock.unlock();
+  site_.store->DropState(id()).IgnoreError();  // it would only take space
   return site_.store->CloseSession(id());
+}
+
+absl::StatusOr<bool> Session::DropFrames(std::int64_t begun_before_ns) {
+  {
+    std::lock_guard lock(mutex_);
+    if (!record_.complete || record_.frames_dropped || record_.purpose != Purpose::kListening ||
+        record_.create_time_ns >= begun_before_ns) {
+      return false;
+    }
+  }
+  const absl::Status dropped = site_.store->DropFrames(id());
+  if (!dropped.ok()) return dropped;
+  const std::lock_guard record_lock(record_mutex_);
+  SessionRecord record = this->record();
+  record.frames_dropped = true;
+  const absl::Status stored = site_.store->PutRecord(
+      storage::Table::kSession, absl::StrCat(record.site, "/", record.session), ToJson(record));
+  if (!stored.ok()) return stored;
+  std::lock_guard lock(mutex_);
+  record_.frames_dropped = true;
+  return true;
 }
 
 void Session::AddInFlight(std::int64_t bytes) {

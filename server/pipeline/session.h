@@ -101,6 +101,10 @@ class Session : public std::enable_shared_from_this<Session> {
   // Goes on with the frames that are durable and had no effect yet. Once, after Open().
   void Resume();
 
+  // Removes the frames of a listening drive that was begun before `begun_before_ns` and is complete
+  // from the disk. Whether there was something to remove. FailedPrecondition: something reads them.
+  absl::StatusOr<bool> DropFrames(std::int64_t begun_before_ns);
+
   // Begins no further batch; what is durable is processed after the next Open(). Never waits, so
   // that of many sessions none waits for the work of those that are not told yet.
   void AskToStop();

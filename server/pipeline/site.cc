@@ -17,6 +17,9 @@ namespace soundmap::pipeline {
 namespace {
 
 constexpr std::size_t kMaxTrials = 1000;
+constexpr std::int64_t kMaxKeep_s = 1000ll * 366 * 86400;
+// Drives whose frames are removed in one go, each some milliseconds of a thread.
+constexpr int kMaxDrops = 16;
 
 bool IsOlder(const SessionRecord& a, const SessionRecord& b) {
   return std::tie(a.create_time_ns, a.session) < std::tie(b.create_time_ns, b.session);
@@ -173,6 +176,31 @@ std::vector<std::shared_ptr<Session>> Site::Sessions() const {
   return sessions;
 }
 
+absl::Status Site::KeepFrames(std::int64_t seconds) {
+  if (seconds < 0 || seconds > kMaxKeep_s) {
+    return absl::InvalidArgumentError(absl::StrCat("frames can be kept for 0 (for ever) to ",
+                                                   kMaxKeep_s, " s, not for ", seconds, " s"));
+  }
+  std::lock_guard lock(mutex_);
+  SiteRecord record = record_;
+  record.keep_frames_s = seconds;
+  const absl::Status stored = store_->PutRecord(storage::Table::kSite, record.site, ToJson(record));
+  if (stored.ok()) record_ = std::move(record);
+  return stored;
+}
+
+void Site::DropOldFrames(std::int64_t now_ns) {
+  const std::int64_t keep_s = record().keep_frames_s;
+  if (keep_s == 0) return;
+  const std::int64_t begun_before_ns = now_ns - frames::NsFromSeconds(static_cast<double>(keep_s));
+  int dropped = 0;
+  for (const std::shared_ptr<Session>& session : Sessions()) {
+    if (dropped == kMaxDrops) return;
+    const absl::StatusOr<bool> done = session->DropFrames(begun_before_ns);
+    if (done.ok() && *done) ++dropped;
+  }
+}
+
 std::shared_ptr<const building::Building> Site::building() const {
   std::lock_guard lock(mutex_);
   return building_;
@@ -213,6 +241,10 @@ absl::StatusOr<std::vector<SessionRecord>> Site::NamedDrives(const std::vector<s
     if (!drives.back().complete) {
       return absl::FailedPreconditionError(
           absl::StrCat("the ", kind, " drive '", name, "' has not arrived in full"));
+    }
+    if (drives.back().frames_dropped) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("the frames of the ", kind, " drive '", name, "' are not kept any more"));
     }
   }
   return drives;
@@ -275,15 +307,15 @@ absl::StatusOr<std::vector<TrialDrive>> Site::DrivesToTry(const TrialRequest& re
   if (request.sessions.empty()) {
     for (const std::shared_ptr<Session>& session : Sessions()) {
       SessionRecord drive = session->record();
-      if (drive.purpose == Purpose::kListening && drive.complete) {
+      if (drive.purpose == Purpose::kListening && drive.complete && !drive.frames_dropped) {
         records->push_back(std::move(drive));
       }
     }
     std::sort(records->begin(), records->end(), IsOlder);
   }
   if (records->empty()) {
-    return absl::FailedPreconditionError(
-        absl::StrCat("site '", record().site, "' has no listening drive that has arrived in full"));
+    return absl::FailedPreconditionError(absl::StrCat(
+        "site '", record().site, "' has no listening drive that has arrived in full and is kept"));
   }
   std::map<std::int64_t, std::shared_ptr<const building::Building>> buildings;
   std::vector<TrialDrive> drives;

@@ -68,6 +68,12 @@ class Site : public std::enable_shared_from_this<Site> {
   // Null if it is not here.
   std::shared_ptr<Session> FindSession(const std::string& session) const;
 
+  // How long the frames of a listening drive are kept from when it was begun, once they have had
+  // their effect; 0: for ever. InvalidArgument: negative, or longer than 1000 years.
+  absl::Status KeepFrames(std::int64_t seconds);
+  // Removes what is to be kept no longer, a bounded number of drives; what something reads later.
+  void DropOldFrames(std::int64_t now_ns);
+
   // Null while there is none.
   std::shared_ptr<const building::Building> building() const;
   // Stores the building as the site's next version and puts it to use; sessions that run keep the

@@ -12,6 +12,8 @@ namespace {
 
 // How often watchers hear of changed sources.
 constexpr std::chrono::seconds kSourceInterval(1);
+// How often frames that are to be kept no longer are looked for.
+constexpr std::chrono::seconds kDropInterval(10);
 
 }  // namespace
 
@@ -29,6 +31,11 @@ void Sites::WatchSources() {
     clock.Start();
     for (const std::shared_ptr<Site>& site : List()) site->region().PublishSourceChanges();
     clock.Stop(Stage::kSources);
+    const auto now = std::chrono::steady_clock::now();
+    if (now - dropped_at_ >= kDropInterval) {
+      dropped_at_ = now;
+      for (const std::shared_ptr<Site>& site : List()) site->DropOldFrames(options_.now_ns());
+    }
     WatchSources();
   });
 }

@@ -3,6 +3,7 @@
 #include <boost/asio/any_io_executor.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/asio/strand.hpp>
+#include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
@@ -65,7 +66,8 @@ class Sites {
   std::map<std::string, std::shared_ptr<Site>> sites_;  // guarded by mutex_
   std::unique_ptr<storage::GroupCommit> group_commit_;
   boost::asio::strand<boost::asio::any_io_executor> timer_strand_;
-  boost::asio::steady_timer source_timer_;  // on timer_strand_
+  boost::asio::steady_timer source_timer_;            // on timer_strand_
+  std::chrono::steady_clock::time_point dropped_at_;  // on timer_strand_
 };
 
 }  // namespace soundmap::pipeline

@@ -168,6 +168,7 @@ absl::Status PrepareDraft(const std::string& folder, const std::string& draft) {
 
 absl::StatusOr<BackupSize> FillBackup(const Store& store, const std::string& draft,
                                       const BackupProgress& progress) {
+  const auto held = store.HoldFrames();
   // The database first: the logs hold at least the frames that it speaks of.
   if (absl::Status copied = store.CheckpointDatabase(draft + "/db"); !copied.ok()) return copied;
   const fs::path logs = store.data_dir() + "/sessions";

@@ -26,6 +26,7 @@ struct SessionNumbers {
   std::int64_t processed = 0;
   std::int64_t heard = 0;
   std::int64_t state_offset = 0;
+  bool dropped = false;  // its log
 };
 struct SiteNumbers {
   std::uint64_t last_sequence = 0;
@@ -149,6 +150,10 @@ void Check::SeeState(std::string_view key, std::string_view value) {
     }
     const auto offset = static_cast<std::int64_t>(number);
     SessionNumbers& numbers = session->second;
+    if (rest.back() == 'x') {
+      numbers.dropped = true;
+      return;
+    }
     (rest.back() == 'd'   ? numbers.durable
      : rest.back() == 'p' ? numbers.processed
      : rest.back() == 'h' ? numbers.heard
@@ -261,6 +266,12 @@ absl::Status Check::CheckLogs() {
   }
   for (const auto& [id, numbers] : sessions_) {
     const std::string folder = absl::StrCat(logs, "/", id.site, "/", id.session);
+    if (numbers.dropped) {
+      if (std::filesystem::exists(folder, error)) {
+        result_.remarks.push_back(absl::StrCat(folder, " is still to be removed"));
+      }
+      continue;
+    }
     const auto log = CheckSessionLog(folder, std::max(numbers.durable, numbers.processed));
     if (!log.ok()) return log.status();
     result_.segments += log->segments;

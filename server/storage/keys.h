@@ -26,6 +26,7 @@ inline std::string SessionKey(const SessionId& id) {
 inline std::string DurableKey(const SessionId& id) { return SessionKey(id) + 'd'; }
 inline std::string ProcessedKey(const SessionId& id) { return SessionKey(id) + 'p'; }
 inline std::string HeardKey(const SessionId& id) { return SessionKey(id) + 'h'; }
+inline std::string DroppedKey(const SessionId& id) { return SessionKey(id) + 'x'; }
 inline std::string StateKey(const SessionId& id) { return SessionKey(id) + 't'; }
 
 inline std::string EntryPrefix(const std::string& site) { return SiteKey(site) + 'e'; }

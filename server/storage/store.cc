@@ -54,7 +54,8 @@ struct Store::State {
   std::unique_ptr<Database> database;
 
   // Taken in this order.
-  mutable std::mutex sessions_mutex;  // guards `sessions`
+  mutable std::shared_mutex frames_mutex;  // exclusively while frames are dropped
+  mutable std::mutex sessions_mutex;       // guards `sessions`
   std::map<SessionId, std::shared_ptr<SessionLog>> sessions;
   std::mutex checkpoint_mutex;  // one checkpoint at a time
   std::mutex commit_mutex;  // one commit at a time: sequences and offsets are read and then written
@@ -217,6 +218,12 @@ absl::StatusOr<std::shared_ptr<SessionLog>> Store::OpenSession(const SessionId& 
   const auto open = state_->sessions.find(id);
   if (open != state_->sessions.end()) return open->second;
 
+  const auto dropped = state_->Get(Family::kState, DroppedKey(id));
+  if (!dropped.ok()) return dropped.status();
+  if (dropped->has_value()) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "the frames of session ", id.session, " of site ", id.site, " are not kept any more"));
+  }
   const auto known_durable = state_->GetNumber(DurableKey(id));
   if (!known_durable.ok()) return known_durable.status();
   const auto processed = state_->GetNumber(ProcessedKey(id));
@@ -265,6 +272,38 @@ absl::Status Store::CloseSession(const SessionId& id) {
 std::vector<std::pair<SessionId, std::shared_ptr<SessionLog>>> Store::OpenSessions() const {
   const std::lock_guard lock(state_->sessions_mutex);
   return {state_->sessions.begin(), state_->sessions.end()};
+}
+
+absl::Status Store::DropState(const SessionId& id) {
+  if (absl::Status valid = ValidateId(id); !valid.ok()) return valid;
+  Batch batch;
+  batch.Delete(Family::kState, StateKey(id));
+  return state_->database->Write(batch, /*sync=*/false, Database::Purpose::kRemove);
+}
+
+absl::Status Store::DropFrames(const SessionId& id) {
+  if (absl::Status valid = ValidateId(id); !valid.ok()) return valid;
+  const std::unique_lock not_held(state_->frames_mutex, std::try_to_lock);
+  if (!not_held) return absl::FailedPreconditionError("the frames of all sessions are in use");
+  {
+    const std::lock_guard lock(state_->sessions_mutex);
+    if (state_->sessions.count(id) != 0) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("the frames of session ", id.session, " of site ", id.site, " are in use"));
+    }
+    Batch batch;
+    batch.Put(Family::kState, DroppedKey(id), Number(0));
+    if (absl::Status marked =
+            state_->database->Write(batch, /*sync=*/true, Database::Purpose::kRemove);
+        !marked.ok()) {
+      return marked;
+    }
+  }
+  return RemoveFolder(absl::StrCat(state_->site_dir(id.site), "/", id.session));
+}
+
+std::shared_lock<std::shared_mutex> Store::HoldFrames() const {
+  return std::shared_lock(state_->frames_mutex);
 }
 
 absl::Status Store::State::CheckCommit(const Commit& commit, std::int64_t processed,

@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <shared_mutex>
 #include <string>
 #include <vector>
 
@@ -73,6 +74,14 @@ class Store {
   // Syncs the log and closes it; OK if it is not open.
   absl::Status CloseSession(const SessionId& id);
   std::vector<std::pair<SessionId, std::shared_ptr<SessionLog>>> OpenSessions() const;
+  // The session needs no state any more; its frames, path and evidence stay.
+  absl::Status DropState(const SessionId& id);
+  // Removes the session's log for good; OpenSession() is FailedPrecondition from then on, and so is
+  // this while the log is open or frames are held. After an error or a crash in between it must be
+  // called again.
+  absl::Status DropFrames(const SessionId& id);
+  // While this is held, no frames are dropped.
+  std::shared_lock<std::shared_mutex> HoldFrames() const;
 
   // Processing. Written, not synced: the session log is the truth, and a power failure takes whole
   // commits from the end. Returns the sequence of the site's last journal entry.

@@ -55,8 +55,8 @@ void Credentials(const std::string& arguments) {
   ASSERT_EQ(std::system(command.c_str()), 0) << command;
 }
 
-// Makes a valid request in which every site is `site`: the first choice of each oneof, names of the
-// right form. Returns whether a site stands in it.
+// Makes a valid request in which every site is `site`: the first choice of each oneof, a site that
+// is to change, names of the right form. Returns whether a site stands in it.
 bool Fill(const std::string& site, google::protobuf::Message& message) {
   const auto* reflection = message.GetReflection();
   const auto* type = message.GetDescriptor();
@@ -67,7 +67,7 @@ bool Fill(const std::string& site, google::protobuf::Message& message) {
     const auto* oneof = field->real_containing_oneof();
     if (oneof != nullptr && oneof->field(0) != field) continue;
     if (field->cpp_type() == FieldDescriptor::CPPTYPE_MESSAGE) {
-      if (oneof == nullptr) continue;
+      if (oneof == nullptr && field->message_type()->name() != "Site") continue;
       has_site |= Fill(site, *reflection->MutableMessage(&message, field));
     } else if (field->cpp_type() == FieldDescriptor::CPPTYPE_STRING) {
       const std::string& of = type->name();

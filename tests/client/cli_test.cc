@@ -244,6 +244,24 @@ TEST_F(CliTest, CreatesASiteWithAMap) {
   EXPECT_TRUE(state().sites.empty());
 }
 
+TEST_F(CliTest, SetsHowLongFramesAreKept) {
+  ASSERT_EQ(Run({"site", "create", "hall"}).exit_status, 0);
+  EXPECT_THAT(Run({"site", "list"}).out, HasSubstr("for ever"));
+  for (const auto& [given, seconds, told] : {std::tuple("30d", 2592000, "30 d"),
+                                             {"12h", 43200, "12 h"},
+                                             {"90min", 5400, "90 min"},
+                                             {"45s", 45, "45 s"},
+                                             {"0s", 0, "for ever"}}) {
+    const Result result = Run({"site", "set", "hall", "--keep-frames", given});
+    EXPECT_EQ(result.exit_status, 0) << result.err;
+    EXPECT_THAT(result.out, HasSubstr(told));
+    EXPECT_EQ(state().sites["sites/hall"].keep_frames_s(), seconds);
+  }
+  for (const char* wrong : {"7", "x", "1 year", "99999999999999999999d"}) {
+    EXPECT_EQ(Run({"site", "set", "hall", "--keep-frames", wrong}).exit_status, 2) << wrong;
+  }
+}
+
 TEST_F(CliTest, ASiteWhoseMapIsRefusedIsNotLeftBehind) {
   state().operation.set_error_code(3);
   state().operation.set_error_message("this is not an OctoMap file");

@@ -97,6 +97,9 @@ TEST_F(ClientTest, CreatesGetsListsAndDeletesSites) {
   EXPECT_EQ(client_.CreateSite("a").status().code(), absl::StatusCode::kAlreadyExists);
   EXPECT_EQ(client_.GetSite("c")->max_range_m, 10.0);
   EXPECT_EQ(client_.ListSites()->size(), 5u);  // three pages of two
+  EXPECT_EQ(client_.KeepFrames("d", 86400)->keep_frames_s, 86400);
+  EXPECT_EQ(client_.GetSite("d")->keep_frames_s, 86400);
+  EXPECT_EQ(client_.GetSite("d")->max_range_m, 10.0);
   EXPECT_TRUE(client_.DeleteSite("c").ok());
   const absl::Status missing = client_.GetSite("c").status();
   EXPECT_EQ(missing.code(), absl::StatusCode::kNotFound);

@@ -1,5 +1,7 @@
 #include "fake_server.h"
 
+#include <google/protobuf/util/field_mask_util.h>
+
 #include <algorithm>
 #include <chrono>
 
@@ -82,6 +84,19 @@ class Sites : public v1::SiteService::Service {
     for (const auto& [name, site] : state_.sites) sites.push_back(site);
     Page(sites, state_.page_size, *request, response,
          [&](const v1::Site& site) { *response->add_sites() = site; });
+    return Status::OK;
+  }
+  Status UpdateSite(ServerContext* context, const v1::UpdateSiteRequest* request,
+                    v1::Site* response) override {
+    Call call(state_, context, "UpdateSite");
+    if (call.fails()) return call.status();
+    const auto found = state_.sites.find(request->site().name());
+    if (found == state_.sites.end()) {
+      return {StatusCode::NOT_FOUND, "there is no " + request->site().name()};
+    }
+    google::protobuf::util::FieldMaskUtil::MergeMessageTo(request->site(), request->update_mask(),
+                                                          {}, &found->second);
+    *response = found->second;
     return Status::OK;
   }
   Status DeleteSite(ServerContext* context, const v1::DeleteSiteRequest* request,

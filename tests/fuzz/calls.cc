@@ -263,6 +263,11 @@ std::vector<std::string> Seeds() {
   list_sites.set_page_size(1);
   list_sites.set_page_token("1");
   seeds.push_back(Seed("SiteService/ListSites", 0, list_sites));
+  v1::UpdateSiteRequest update_site;
+  update_site.mutable_site()->set_name("sites/hall");
+  update_site.mutable_site()->set_keep_frames_s(3600);
+  update_site.mutable_update_mask()->add_paths("keep_frames_s");
+  seeds.push_back(Seed("SiteService/UpdateSite", 0, update_site));
   v1::DeleteSiteRequest delete_site;
   delete_site.set_name("sites/hall");
   seeds.push_back(Seed("SiteService/DeleteSite", 0, delete_site));

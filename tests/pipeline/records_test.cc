@@ -25,6 +25,7 @@ TEST(Records, ASessionIsReadBackBitForBit) {
   record.clock_offsets = {{-3'600'000'000'000, 1'000, 5, 0.1}, {1LL << 61, 7, 1LL << 60, 100.0}};
   record.frame_count = 1LL << 40;
   record.last_frame_ns = 1'700'000'000'123'456'789;
+  record.frames_dropped = true;
   const auto read = SessionRecordFromJson(ToJson(record));
   ASSERT_TRUE(read.ok()) << read.status();
   EXPECT_EQ(ToJson(*read), ToJson(record));
@@ -34,6 +35,20 @@ TEST(Records, ASessionIsReadBackBitForBit) {
   EXPECT_EQ(*read->initial_pose, *record.initial_pose);
   EXPECT_EQ(read->frame_count, record.frame_count);
   EXPECT_EQ(read->clock_offsets, record.clock_offsets);
+  EXPECT_TRUE(read->frames_dropped);
+}
+
+TEST(Records, ASiteOfBeforeKeepsItsFrames) {
+  SiteRecord record;
+  record.site = "hall";
+  record.keep_frames_s = 86400;
+  const std::string json = ToJson(record);
+  EXPECT_EQ(SiteRecordFromJson(json)->keep_frames_s, 86400);
+  constexpr char kField[] = "\"keep_frames_s\":86400,";
+  const std::size_t field = json.find(kField);
+  ASSERT_NE(field, std::string::npos);
+  EXPECT_EQ(SiteRecordFromJson(std::string(json).erase(field, sizeof(kField) - 1))->keep_frames_s,
+            0);
 }
 
 TEST(Records, AnOffsetOfAClockIsReplacedUntilAClockJumps) {

@@ -80,6 +80,20 @@ TEST(CheckData, FindsNoFaultWhereThereIsNone) {
   EXPECT_EQ(check->tiles, 2);
 }
 
+TEST(CheckData, FramesThatAreNotKeptAreNoFault) {
+  const std::string folder = MakeData("check_dropped");
+  ASSERT_TRUE(Store::Open(folder).value()->DropFrames(kDrive).ok());
+  const auto check = CheckData(folder, {});
+  ASSERT_TRUE(check.ok()) << check.status();
+  EXPECT_THAT(check->faults, IsEmpty());
+  EXPECT_THAT(check->remarks, IsEmpty());
+  EXPECT_EQ(check->segments, 0);
+  EXPECT_EQ(check->journal_entries, 10);
+  // A crash after the mark leaves the folder.
+  std::filesystem::create_directories(folder + "/sessions/hall/drive");
+  EXPECT_THAT(CheckData(folder, {})->remarks, ElementsAre(HasSubstr("is still to be removed")));
+}
+
 TEST(CheckData, ChangesNothing) {
   const std::string folder = MakeData("check_only");
   const auto all = [&] {

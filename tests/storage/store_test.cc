@@ -354,6 +354,37 @@ TEST(Store, LostFramesOfASessionAreDataLossForItAlone) {
   EXPECT_EQ(JournalOffsets(*store, "hall").size(), 4u);
 }
 
+TEST(Store, DroppedFramesGoAndAllElseStays) {
+  const std::string folder = EmptyFolder("dropped");
+  const SessionId a{"hall", "a"};
+  {
+    auto store = OpenStore(folder);
+    Drive(store.get(), a, 20);
+    Drive(store.get(), {"hall", "b"}, 20);
+    EXPECT_TRUE(absl::IsFailedPrecondition(store->DropFrames(a))) << "its log is open";
+    ASSERT_TRUE(store->CloseSession(a).ok());
+    {
+      const auto held = store->HoldFrames();
+      EXPECT_TRUE(absl::IsFailedPrecondition(store->DropFrames(a))) << "frames are held";
+    }
+    ASSERT_EQ(store->OpenSession(a).value()->durable(), 20) << "a refusal changes nothing";
+    ASSERT_TRUE(store->CloseSession(a).ok());
+    ASSERT_TRUE(store->LatestState(a).value().has_value());
+    ASSERT_TRUE(store->DropState(a).ok());
+    EXPECT_FALSE(store->LatestState(a).value().has_value());
+    ASSERT_TRUE(store->DropFrames(a).ok());
+    ASSERT_TRUE(store->DropFrames(a).ok()) << "after a crash in between it is called again";
+  }
+  EXPECT_FALSE(std::filesystem::exists(folder + "/sessions/hall/a"));
+  auto store = OpenStore(folder);
+  const absl::Status gone = store->OpenSession(a).status();
+  EXPECT_TRUE(absl::IsFailedPrecondition(gone)) << gone;
+  EXPECT_THAT(std::string(gone.message()), HasSubstr("frames of session a of site hall"));
+  EXPECT_EQ(store->OpenSession({"hall", "b"}).value()->durable(), 20);
+  EXPECT_EQ(JournalOffsets(*store, "hall").size(), 4u);
+  EXPECT_EQ(store->ProcessedOffset(a).value(), 20);
+}
+
 TEST(Store, DamageInTheDatabaseIsDataLossAndNeverOtherData) {
   const std::string folder = EmptyFolder("damaged_db");
   {

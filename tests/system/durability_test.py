@@ -80,6 +80,29 @@ class DurabilityTest(ProgramTest):
             self.assertTrue(server.alive())
         self.assertGreaterEqual(cut()["processed"], 0.7 * whole["processed"])
 
+    def test_frames_that_are_kept_no_longer_leave_the_map_as_it_is(self):
+        server = self.server()
+        self.make_site(server)
+        self.ok(server, "soundmap", "site", "set", "site", "--keep-frames", "1s")
+        self.replay(server, DRIVES / "short.mcap")
+        sources, voxels = self.source_history_json(server), self.full_map(server)
+        (drive,) = self.session_list(server)
+        logs = server.data_dir / "sessions" / "site"
+        self.assertEqual(len(list(logs.iterdir())), 2)
+        while not self.session_list(server)[0]["frames_dropped"]:
+            self.assertTrue(server.alive())
+        # The mapping drive stays: the map may be made again.
+        self.assertNotIn(logs / drive["id"], list(logs.iterdir()))
+        self.assertEqual(len(list(logs.iterdir())), 1)
+        self.refused(server, "soundmap", "tune", "--case", "site", DRIVES / "short.truth.json", DRIVES / "short.mcap", says="kept")
+        # Sent again, it is known.
+        self.replay(server, DRIVES / "short.mcap")
+        self.assertEqual(server.stop(), 0)
+        self.assertIn("no fault", self.ok(None, "soundmap-server", "--check", "--data-dir", server.data_dir))
+        server = self.server()
+        self.assertEqual(self.source_history_json(server), sources)
+        self.assertEqual(self.full_map(server), voxels)
+
     def test_sigterm_under_load(self):
         """Robots at full speed, idle sessions and watchers: exits in time, and what it said to be durable is there."""
         server = self.server("data", "--max-calls-per-s", "10000")

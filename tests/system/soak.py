@@ -12,6 +12,7 @@ import json
 import os
 import pathlib
 import shutil
+import statistics
 import subprocess
 import sys
 import threading
@@ -60,13 +61,11 @@ def lag_quantile(buckets, share):
     return next(bound for bound, count in bounds if count >= share * total)
 
 
-def slope_per_minute(samples, field):
-    """Of the straight line through the second half of the samples."""
-    half = [(s["time_s"] / 60, s[field]) for s in samples[len(samples) // 2:]]
-    mean_t = sum(t for t, _ in half) / len(half)
-    mean_v = sum(v for _, v in half) / len(half)
-    spread = sum((t - mean_t) ** 2 for t, _ in half)
-    return sum((t - mean_t) * (v - mean_v) for t, v in half) / spread if spread else 0.0
+def growth_per_minute(samples, field):
+    """From the middle third of the samples to the last one, of their medians: what comes and goes with the load is no growth."""
+    third = len(samples) // 3
+    middle, last = (statistics.median(s[field] for s in samples[i * third:(i + 1) * third]) for i in (1, 2))
+    return (last - middle) / (samples[-1]["time_s"] / 60 / 3)
 
 
 def plot(samples, path):
@@ -157,6 +156,8 @@ class Soak:
         server = self.serve(data)
         try:
             self.ok(server, "soundmap", "site", "create", SITE)
+            # Fifty robots fill a disk within the hour.
+            self.ok(server, "soundmap", "site", "set", SITE, "--keep-frames", "2min")
             self.ok(server, "soundmap-robot", "replay", mapping, "--site", SITE, "--robot", "mapper", "--purpose", "mapping",
                     "--speed", "max", f"--initial-pose={self.programs.start_pose(mapping)}")
             self.ok(server, "soundmap", "map", "build", SITE)
@@ -207,7 +208,7 @@ class Soak:
             "processors": len(os.sched_getaffinity(0)),
             "memory_of_the_idle_mb": crowded_mb - empty["process_resident_memory_bytes"] / 1e6,
             "memory_mb": {"without_robots": crowded_mb, "last": memory[-1], "most": max(memory),
-                          "growth_per_minute": slope_per_minute(samples, "memory_mb")},
+                          "growth_per_minute": growth_per_minute(samples, "memory_mb")},
             "agents": agents,
             "in_flight_mb": {"mean": sum(s["in_flight_mb"] for s in samples) / len(samples),
                              "most": max(s["in_flight_mb"] for s in samples)},

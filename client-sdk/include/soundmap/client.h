@@ -34,6 +34,8 @@ class Client {
   absl::StatusOr<Site> CreateSite(const std::string& site, const std::string& profile = "default");
   absl::StatusOr<Site> GetSite(const std::string& site);
   absl::StatusOr<std::vector<Site>> ListSites();
+  // How long the site keeps the frames of a listening drive from when it was begun; 0: for ever.
+  absl::StatusOr<Site> KeepFrames(const std::string& site, std::int64_t seconds);
   // With its map, sessions and recordings.
   absl::Status DeleteSite(const std::string& site);
 

@@ -21,6 +21,8 @@ struct Site {
   std::string parameters_toml;        // the parameters in force, with units
   double voxel_size_m = 0.0;
   double max_range_m = 0.0;  // R_max
+  // How long the frames of a listening drive are kept from when it was begun; 0: for ever.
+  std::int64_t keep_frames_s = 0;
 };
 
 enum class Purpose { kUnknown, kListening, kMapping };
@@ -69,6 +71,7 @@ struct Session {
   std::vector<FrameGap> gaps;    // in order
   // The newest, and before it the last ones before each jump of a clock. None in a replay.
   std::vector<ClockOffset> clock_offsets;
+  bool frames_dropped = false;  // the site keeps them no longer
 };
 
 // A thinned scan of the LRF, for the eye.
