@@ -29,6 +29,13 @@ def scene_with(name, **changes):
     return path
 
 
+def room_with(name, **sections):
+    """The grill room with other sections; its path."""
+    path = DRIVES / f"{name}.json"
+    path.write_text(json.dumps(json.loads((SCENES / "grill_room.json").read_text()) | sections))
+    return path
+
+
 def main():
     DRIVES.mkdir(parents=True, exist_ok=True)
     for old in DRIVES.iterdir():
@@ -38,10 +45,18 @@ def main():
     simulate("grill_room", "short", "--seconds", "8")
     simulate(scene_with("fast_audio", audio={"sample_rate_hz": 48000}), "fast_audio", "--seconds", "6")
     simulate(scene_with("drifting_clock", audio={"clock_drift_ppm": 50}), "drifting_clock", "--seconds", "8")
-    stopping = json.loads((SCENES / "grill_room.json").read_text())
-    stopping["sources"][2]["off_s"] = 18
-    (DRIVES / "stopping.json").write_text(json.dumps(stopping))
-    simulate(DRIVES / "stopping.json", "stopping", "--seconds", "50")
+    room = json.loads((SCENES / "grill_room.json").read_text())
+    stopping = [*room["sources"][:2], room["sources"][2] | {"off_s": 18}, *room["sources"][3:]]
+    simulate(room_with("stopping", sources=stopping), "stopping", "--seconds", "50")
+    # Two sources; later one of them elsewhere; another drive; two people, with and without them.
+    pair = [room["sources"][0], room["sources"][5]]
+    people = [{"way_points": [[1.2, 3.4], [2.6, 4.6], [8.6, 4.8]], "speed_mps": 1.0},
+              {"way_points": [[7.4, 1.2], [7.6, 5.4], [3.0, 6.2]], "speed_mps": 0.8}]
+    simulate(room_with("pair", sources=pair), "pair", "--seconds", "40")
+    simulate(room_with("pair_again", sources=pair, seed=2), "pair_again", "--seconds", "40")
+    simulate(room_with("pair_moved", sources=[pair[0], room["sources"][4]], seed=3, start_time_s=1.7e9 + 3600), "pair_moved", "--seconds", "60")
+    simulate(room_with("pair_people", sources=pair, people=people), "pair_people", "--seconds", "40")
+    simulate(room_with("people", sources=[], people=people), "people", "--seconds", "40")
     # An office, which looks the same from no two places.
     simulate("office", "office_mapping", "--mapping")
     simulate("office", "office", "--seconds", "40")

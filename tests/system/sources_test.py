@@ -1,0 +1,84 @@
+"""What a user sees of sources that move, of several robots and of people, through the real programs."""
+
+import json
+import math
+import unittest
+
+from programs import DRIVES, ProgramTest, start
+
+
+class SourcesTest(ProgramTest):
+    def found(self, server, site="site"):
+        """Those that are announced."""
+        listed = json.loads(self.ok(server, "soundmap", "sources", site, "--min-probability", "0.5", "--format", "json"))
+        return listed["sources"]
+
+    def at(self, sources, true):
+        """The only one near a true place."""
+        near = [source for source in sources if math.dist(source["position_m"], true["position"]) < 0.5]
+        self.assertEqual(len(near), 1, (true["position"], sources))
+        return near[0]
+
+    def truth(self, name):
+        return json.loads((DRIVES / f"{name}.truth.json").read_text())["sources"]
+
+    def test_a_source_that_moved_keeps_its_name(self):
+        server = self.server()
+        self.make_site(server)
+        self.replay(server, DRIVES / "pair.mcap")
+        stays, moves = self.truth("pair")
+        before = self.found(server)
+        self.assertEqual(len(before), 2)
+        watch = start(server, "soundmap", "watch", "site", "--sources")
+        self.addCleanup(watch.communicate)
+        self.addCleanup(watch.terminate)
+        self.replay(server, DRIVES / "pair_moved.mcap")
+        after = self.found(server)
+        _, moved = self.truth("pair_moved")
+        self.assertEqual(math.dist(moves["position"], moved["position"]), 3)
+        self.assertEqual(self.at(after, stays)["id"], self.at(before, stays)["id"])
+        self.assertEqual(self.at(after, moved)["id"], self.at(before, moves)["id"])
+        self.assertEqual(len(after), 2, "nothing is left behind")
+        for line in watch.stdout:
+            event = json.loads(line)
+            if event["event"] == "source_moved":
+                break
+        self.assertEqual(event["sound_source"]["id"], self.at(before, moves)["id"])
+        self.assertLess(math.dist(event["from_m"], moves["position"]), 0.5)
+
+    def test_several_robots_find_what_one_finds(self):
+        server = self.server()
+        for site in ("one", "turns", "together"):
+            self.make_site(server, site)
+        drives = [DRIVES / "pair.mcap", DRIVES / "pair_again.mcap"]
+        for drive in drives:
+            self.replay(server, drive, site="one")
+            self.replay(server, drive, site="turns", robot=drive.stem)
+        robots = [start(server, "soundmap-robot", *self.replay_arguments(drive, "together", robot=drive.stem)) for drive in drives]
+        for robot in robots:
+            _, said = robot.communicate()
+            self.assertEqual(robot.returncode, 0, said)
+        of_one = self.found(server, "one")
+        self.assertEqual(len(of_one), 2)
+        for site in ("turns", "together"):
+            found = self.found(server, site)
+            self.assertEqual(len(found), 2, site)
+            for true in self.truth("pair"):
+                self.assertLessEqual(math.dist(self.at(found, true)["position_m"], self.at(of_one, true)["position_m"]), 0.03)
+                self.assertEqual(sorted(self.at(found, true)["robots"]), ["pair", "pair_again"])
+
+    def test_people_who_walk_by_are_no_sources(self):
+        server = self.server()
+        self.make_site(server)
+        self.replay(server, DRIVES / "people.mcap")
+        self.assertEqual(self.found(server), [])
+        self.make_site(server, "busy")
+        self.replay(server, DRIVES / "pair_people.mcap", site="busy")
+        found = self.found(server, "busy")
+        self.assertEqual(len(found), 2)
+        for true in self.truth("pair_people"):
+            self.at(found, true)
+
+
+if __name__ == "__main__":
+    unittest.main()
