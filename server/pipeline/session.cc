@@ -647,17 +647,18 @@ absl::Status Session::Complete() {
 }
 
 absl::StatusOr<bool> Session::DropFrames(std::int64_t begun_before_ns) {
+  const std::lock_guard record_lock(record_mutex_);
+  SessionRecord record;
   {
     std::lock_guard lock(mutex_);
-    if (!record_.complete || record_.frames_dropped || record_.purpose != Purpose::kListening ||
-        record_.create_time_ns >= begun_before_ns) {
+    if (stopping_ || !record_.complete || record_.frames_dropped ||
+        record_.purpose != Purpose::kListening || record_.create_time_ns >= begun_before_ns) {
       return false;
     }
+    record = record_;
   }
   const absl::Status dropped = site_.store->DropFrames(id());
   if (!dropped.ok()) return dropped;
-  const std::lock_guard record_lock(record_mutex_);
-  SessionRecord record = this->record();
   record.frames_dropped = true;
   const absl::Status stored = site_.store->PutRecord(
       storage::Table::kSession, absl::StrCat(record.site, "/", record.session), ToJson(record));
@@ -694,6 +695,7 @@ void Session::Stop() {
     idle.set_value();
   });
   idle.get_future().wait();
+  const std::lock_guard record_lock(record_mutex_);  // nor are frames being dropped
   std::lock_guard lock(mutex_);
   AddInFlight(-bytes_in_flight_);
   AddBacklog(-backlog_frames_);

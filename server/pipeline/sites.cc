@@ -21,7 +21,12 @@ Sites::Sites(storage::Store* store, Options options)
     : store_(store),
       options_(std::move(options)),
       timer_strand_(boost::asio::make_strand(options_.executor)),
-      source_timer_(timer_strand_) {}
+      source_timer_(timer_strand_),
+      drop_strand_(boost::asio::make_strand(SyncExecutor())) {}
+
+boost::asio::any_io_executor Sites::SyncExecutor() const {
+  return options_.sync_executor ? options_.sync_executor : options_.executor;
+}
 
 void Sites::WatchSources() {
   source_timer_.expires_after(kSourceInterval);
@@ -34,7 +39,9 @@ void Sites::WatchSources() {
     const auto now = std::chrono::steady_clock::now();
     if (now - dropped_at_ >= kDropInterval) {
       dropped_at_ = now;
-      for (const std::shared_ptr<Site>& site : List()) site->DropOldFrames(options_.now_ns());
+      boost::asio::post(drop_strand_, [this] {
+        for (const std::shared_ptr<Site>& site : List()) site->DropOldFrames(options_.now_ns());
+      });
     }
     WatchSources();
   });
@@ -61,8 +68,7 @@ absl::StatusOr<std::unique_ptr<Sites>> Sites::Open(storage::Store* store, Option
     meters->stages.Add(Stage::kLog, cpu_time);
   };
   sites->group_commit_ = std::make_unique<storage::GroupCommit>(
-      sites->options_.sync_executor ? sites->options_.sync_executor : sites->options_.executor,
-      store,
+      sites->SyncExecutor(), store,
       [sites = sites.get()](const storage::SessionId& id,
                             const absl::StatusOr<std::int64_t>& durable) {
         const auto site = sites->Get(id.site);
@@ -156,6 +162,9 @@ void Sites::Stop() {
     timer_stopped.set_value();
   });
   timer_stopped.get_future().wait();
+  std::promise<void> none_drops;
+  boost::asio::post(drop_strand_, [&none_drops] { none_drops.set_value(); });
+  none_drops.get_future().wait();
   for (const std::shared_ptr<Site>& site : List()) site->Stop(/*checkpoint=*/true);
 }
 

@@ -29,8 +29,8 @@ class Sites {
     std::function<absl::StatusOr<Profile>(const std::string& name)> profile;
     std::function<std::int64_t()> now_ns;
     std::shared_ptr<Meters> meters = std::make_shared<Meters>();
-    // Syncs the session logs, so that a sync need not wait behind the work on frames; none: as all
-    // else.
+    // Syncs and removes session logs, so that a sync need not wait behind the work on frames; none:
+    // as all else.
     boost::asio::any_io_executor sync_executor;
   };
 
@@ -59,6 +59,7 @@ class Sites {
  private:
   Sites(storage::Store* store, Options options);
   void WatchSources();
+  boost::asio::any_io_executor SyncExecutor() const;
 
   storage::Store* const store_;
   const Options options_;
@@ -66,8 +67,9 @@ class Sites {
   std::map<std::string, std::shared_ptr<Site>> sites_;  // guarded by mutex_
   std::unique_ptr<storage::GroupCommit> group_commit_;
   boost::asio::strand<boost::asio::any_io_executor> timer_strand_;
-  boost::asio::steady_timer source_timer_;            // on timer_strand_
-  std::chrono::steady_clock::time_point dropped_at_;  // on timer_strand_
+  boost::asio::steady_timer source_timer_;                         // on timer_strand_
+  std::chrono::steady_clock::time_point dropped_at_;               // on timer_strand_
+  boost::asio::strand<boost::asio::any_io_executor> drop_strand_;  // it waits for the disk
 };
 
 }  // namespace soundmap::pipeline
