@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <deque>
+#include <iterator>
 #include <mutex>
 #include <optional>
 #include <span>
@@ -78,6 +79,7 @@ AudioScanner::AudioScanner(std::shared_ptr<const Tables> tables)
     : tables_(std::move(tables)),
       layout_(tables_->layout),
       stft_(layout_, tables_->srp->microphones()),
+      polarity_(layout_, tables_->config.speed_of_sound_mps, tables_->mic_in_array_m),
       clock_(layout_.sample_rate_hz) {}
 
 const geometry::DirectionGrid& AudioScanner::grid() const { return tables_->srp->grid(); }
@@ -168,26 +170,24 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   const Tables* tables = tables_.get();
   Stft* stft = &stft_;
   if (!result.dead_microphones.empty()) {
-    const int channels = tables_->srp->microphones();
     Remainder* rest = RemainderWithout(result.dead_microphones);
     if (rest == nullptr) {
       result.fault = "the microphones that are not dead cannot tell directions";
       return result;
     }
-    rest->samples.clear();
-    for (int s = 0; s < layout_.scan_samples(); ++s) {
-      for (int n = 0; n < channels; ++n, ++samples) {
-        if (!std::binary_search(rest->dead.begin(), rest->dead.end(), n)) {
-          rest->samples.push_back(*samples);
-        }
-      }
-    }
-    samples = rest->samples.data();
     tables = rest->tables.get();
     stft = &rest->stft;
   }
+  std::set_difference(polarity_.inverted().begin(), polarity_.inverted().end(),
+                      result.dead_microphones.begin(), result.dead_microphones.end(),
+                      std::back_inserter(result.inverted_microphones));
+  if (!result.dead_microphones.empty() || !result.inverted_microphones.empty()) {
+    Mend(samples, result.dead_microphones, result.inverted_microphones);
+    samples = mended_.data();
+  }
   const PhatSpectra& spectra = stft->Analyze(
       {samples, static_cast<std::size_t>(layout_.scan_samples()) * tables->srp->microphones()});
+  if (tables->finder) polarity_.Add(stft->newest_frame(), result.dead_microphones);
   Done(Step::kSpectra);
   tables->srp->Scan(spectra, scan_);
   Done(Step::kPower);
@@ -223,9 +223,23 @@ AudioScanner::Remainder* AudioScanner::RemainderWithout(const std::vector<int>& 
   auto tables = SharedTables(tables_->config, calibration);
   if (!tables.ok()) return nullptr;
   Stft stft((*tables)->layout, (*tables)->srp->microphones());
-  remainder_ = std::make_unique<Remainder>(
-      Remainder{dead, *std::move(tables), std::move(stft), std::vector<std::int16_t>()});
+  remainder_ = std::make_unique<Remainder>(Remainder{dead, *std::move(tables), std::move(stft)});
   return remainder_.get();
+}
+
+void AudioScanner::Mend(const std::int16_t* samples, const std::vector<int>& dead,
+                        const std::vector<int>& inverted) {
+  const int channels = tables_->srp->microphones();
+  std::vector<int> factor(channels, 1);
+  for (const int n : inverted) factor[n] = -1;
+  for (const int n : dead) factor[n] = 0;
+  mended_.clear();
+  for (int s = 0; s < layout_.scan_samples(); ++s) {
+    for (int n = 0; n < channels; ++n, ++samples) {
+      if (factor[n] == 0) continue;
+      mended_.push_back(static_cast<std::int16_t>(std::min(factor[n] * *samples, 32767)));
+    }
+  }
 }
 
 std::string AudioScanner::FaultIn(const std::int16_t* samples, std::vector<int>& dead) const {
@@ -280,7 +294,7 @@ std::string AudioScanner::FaultIn(const std::int16_t* samples, std::vector<int>&
 }
 
 AudioScanner::State AudioScanner::state() const {
-  return {last_stamp_ns_, next_sample_, clock_.points(), pending_};
+  return {last_stamp_ns_, next_sample_, clock_.points(), pending_, polarity_.state()};
 }
 
 absl::Status AudioScanner::Restore(State state) {
@@ -297,7 +311,8 @@ absl::Status AudioScanner::Restore(State state) {
   const auto pending = static_cast<std::int64_t>(state.pending.size()) / channels;
   if (!clock_runs || !stamps_valid || state.pending.size() % channels != 0 ||
       pending >= layout_.scan_samples() || pending > state.next_sample ||
-      state.clock.empty() != (state.next_sample == 0)) {
+      state.clock.empty() != (state.next_sample == 0) ||
+      !polarity_.Restore(std::move(state.polarity))) {
     return absl::InvalidArgumentError(
         "the saved state of the audio scanner does not fit its configuration");
   }

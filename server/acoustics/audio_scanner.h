@@ -15,6 +15,7 @@
 #include "acoustics/config.h"
 #include "acoustics/likelihood_scan.h"
 #include "acoustics/peak_finder.h"
+#include "acoustics/polarity.h"
 #include "acoustics/srp_phat.h"
 #include "acoustics/stft.h"
 #include "frames/frames.h"
@@ -33,6 +34,7 @@ class AudioScanner {
     std::int64_t next_sample = 0;      // count since the last gap: of the first sample to come
     std::vector<AudioClock::Point> clock;
     std::vector<std::int16_t> pending;  // interleaved, not yet scanned; they end before next_sample
+    Polarity::State polarity;
 
     bool operator==(const State&) const = default;
   };
@@ -46,8 +48,9 @@ class AudioScanner {
   // the end of the last one follows a gap: framing starts anew with it, and a scan with a fault
   // tells what was left over. A microphone that stands still for the whole scan is dead and is done
   // without, while three quarters of them remain; a scan in which one stands still for W/2 samples
-  // or more (dropped samples, too many dead) has a fault. InvalidArgument, and no change: another
-  // sample rate or number of channels than the calibration's, samples that do not fill the
+  // or more (dropped samples, too many dead) has a fault. One whose polarity is known to be
+  // inverted has its sign turned (both with PeakEvidence alone). InvalidArgument, and no change:
+  // another sample rate or number of channels than the calibration's, samples that do not fill the
   // channels, a block that starts more than 20 ms before the end of the last one or before its
   // stamp, a stamp outside 1970 .. 2116.
   absl::StatusOr<std::vector<LikelihoodScan>> Push(const frames::AudioBlock& block);
@@ -83,7 +86,6 @@ class AudioScanner {
     std::vector<int> dead;
     std::shared_ptr<const Tables> tables;
     Stft stft;
-    std::vector<std::int16_t> samples;
   };
   Remainder* RemainderWithout(const std::vector<int>& dead);
 
@@ -91,6 +93,9 @@ class AudioScanner {
   LikelihoodScan Scan(const std::int16_t* samples, std::int64_t first_sample);
   // A sentence, or the microphones to do without.
   std::string FaultIn(const std::int16_t* samples, std::vector<int>& dead) const;
+  // Into mended_: without the dead ones, with the sign of the inverted ones turned.
+  void Mend(const std::int16_t* samples, const std::vector<int>& dead,
+            const std::vector<int>& inverted);
   void Done(Step step) const {
     if (step_done_) step_done_(step);
   }
@@ -98,7 +103,9 @@ class AudioScanner {
   std::shared_ptr<const Tables> tables_;
   FrameLayout layout_;
   Stft stft_;
+  Polarity polarity_;
   AudioScan scan_;                        // keeps its memory from scan to scan
+  std::vector<std::int16_t> mended_;      // likewise
   std::unique_ptr<Remainder> remainder_;  // that the last scan with dead microphones needed
   AudioClock clock_;
   frames::TimeNs last_stamp_ns_ = 0;

@@ -26,6 +26,8 @@ struct LikelihoodScan {
   std::string fault;
   // Microphones that are dead and were done without, in channel order.
   std::vector<int> dead_microphones;
+  // Microphones of inverted polarity, whose sign was turned, in channel order.
+  std::vector<int> inverted_microphones;
   std::vector<float> likelihood;  // L(theta_i, phi_i, k), in the order of the grid
   double noise_floor = 0.0;       // of S; 0 where the profile does not estimate it
   std::vector<Peak> peaks;        // strongest first

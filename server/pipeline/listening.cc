@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "pipeline/serialization.h"
 #include "ray_casting/reflections.h"
 
@@ -20,8 +21,13 @@ void serialize(Archive& archive, soundmap::acoustics::AudioClock::Point& point, 
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::acoustics::Polarity::State& state, unsigned) {
+  archive& state.agreement& state.bin_weight& state.inverted;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::acoustics::AudioScanner::State& state, unsigned) {
-  archive& state.last_stamp_ns& state.next_sample& state.clock& state.pending;
+  archive& state.last_stamp_ns& state.next_sample& state.clock& state.pending& state.polarity;
 }
 
 template <class Archive>
@@ -105,7 +111,8 @@ void serialize(Archive& archive, soundmap::localization::LocalizerState& state, 
 template <class Archive>
 void serialize(Archive& archive, soundmap::pipeline::Listening::Counters& counters, unsigned) {
   archive& counters.audio_scans& counters.backward_odometry& counters.backward_lidar& counters
-      .dead_microphone_scans& counters.faulty_audio_scans& counters.refused_audio& counters
+      .dead_microphone_scans& counters.faulty_audio_scans& counters
+      .inverted_microphone_scans& counters.inverted_microphones& counters.refused_audio& counters
       .scans_without_range& counters.scans_without_pose& counters.unheard_ns;
 }
 
@@ -123,7 +130,7 @@ constexpr std::size_t kMaxPendingScans = 64;
 constexpr frames::TimeNs kNewScanAge_ns = 5'000'000'000;
 
 // SaveState()'s bytes: a later layout has another number.
-constexpr std::uint64_t kStateVersion = 0x534d'4c03;
+constexpr std::uint64_t kStateVersion = 0x534d'4c04;
 
 // A peak lies where a ray through it ends; neighbouring rays end in one voxel or the next.
 const double kMinPeakCosine = std::cos(geometry::RadFromDeg(5.0));
@@ -329,6 +336,12 @@ void Listening::State::Hear(const frames::AudioBlock& block) {
   for (acoustics::LikelihoodScan& scan : *scans) {
     if (scan.fault.empty()) {
       if (!scan.dead_microphones.empty()) ++counters.dead_microphone_scans;
+      if (!scan.inverted_microphones.empty()) ++counters.inverted_microphone_scans;
+      for (const int n : scan.inverted_microphones) {
+        std::vector<int>& all = counters.inverted_microphones;
+        const auto at = std::lower_bound(all.begin(), all.end(), n);
+        if (at == all.end() || *at != n) all.insert(at, n);
+      }
       pending_scans.push_back(std::move(scan));
     } else {
       ++counters.faulty_audio_scans;
@@ -477,6 +490,11 @@ std::vector<std::string> Listening::Warnings() const {
   std::vector<std::string> warnings;
   for (const auto& [count, sentence] : sentences) {
     if (count > 0) warnings.push_back(absl::StrCat(count, sentence));
+  }
+  if (counters.inverted_microphone_scans > 0) {
+    warnings.push_back(absl::StrCat(counters.inverted_microphone_scans,
+                                    " audio scan(s) mended the inverted polarity of mic_",
+                                    absl::StrJoin(counters.inverted_microphones, ", mic_")));
   }
   if (counters.unheard_ns > 0) {
     warnings.push_back(absl::StrFormat(

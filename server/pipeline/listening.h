@@ -45,11 +45,13 @@ class Listening {
     std::int64_t audio_scans = 0;  // that gave evidence
     std::int64_t backward_odometry =
         0;  // stamps that ran backwards, or numbers that are not finite
-    std::int64_t dead_microphone_scans = 0;  // audio scans that did without a dead microphone
-    std::int64_t faulty_audio_scans = 0;     // a dead microphone, lost samples
-    std::int64_t scans_without_range = 0;    // no LIDAR scan was near in time, or none at all
-    std::int64_t scans_without_pose = 0;     // the robot was lost, and never learnt where it was
-    std::int64_t refused_audio = 0;          // blocks that do not fit the ones before
+    std::int64_t dead_microphone_scans = 0;      // audio scans that did without a dead microphone
+    std::int64_t faulty_audio_scans = 0;         // a dead microphone, lost samples
+    std::int64_t inverted_microphone_scans = 0;  // audio scans that mended an inverted polarity
+    std::vector<int> inverted_microphones;       // of any of them, in channel order
+    std::int64_t scans_without_range = 0;        // no LIDAR scan was near in time, or none at all
+    std::int64_t scans_without_pose = 0;  // the robot was lost, and never learnt where it was
+    std::int64_t refused_audio = 0;       // blocks that do not fit the ones before
     std::int64_t backward_lidar = 0;
     frames::TimeNs unheard_ns = 0;  // at the end of the drive, since the robot was lost
   };

@@ -179,10 +179,12 @@ TEST_P(ArrayRir, TheLoudspeakerIsWhereItStands) {
         static_cast<std::int16_t>(std::lround(value / largest * 20000.0 + normal(random))));
   }
 
-  const auto scanner =
-      AudioScanner::Create(AcousticsConfig::Default(),
-                           testing::CalibrationOf(mic_in_array_m, rir.sample_rate_hz))
-          .value();
+  const auto make_scanner = [&] {
+    return AudioScanner::Create(AcousticsConfig::Default(),
+                                testing::CalibrationOf(mic_in_array_m, rir.sample_rate_hz))
+        .value();
+  };
+  const auto scanner = make_scanner();
   // The strongest peak of each scan; speech pauses have none.
   const Eigen::Vector3d truth =
       geometry::DirectionFromAngles(geometry::RadFromDeg(c.azimuth_deg), 0.0);
@@ -196,6 +198,27 @@ TEST_P(ArrayRir, TheLoudspeakerIsWhereItStands) {
   ASSERT_GE(error_deg.size(), 5u);
   std::sort(error_deg.begin(), error_deg.end());
   EXPECT_LT(error_deg[error_deg.size() / 2], 3.5);
+
+  // The sphere between them makes no healthy microphone look inverted, and hides no inverted one.
+  for (const std::vector<int>& inverted : {std::vector<int>{}, {3}}) {
+    const auto listener = make_scanner();
+    frames::AudioBlock played = block;
+    for (const int n : inverted) {
+      for (std::size_t i = n; i < played.samples.size(); i += c.microphones)
+        played.samples[i] *= -1;
+    }
+    std::vector<int> known;
+    for (int time = 0; time < 5; ++time) {
+      const std::vector<LikelihoodScan> heard_scans = listener->Push(played).value();
+      for (const LikelihoodScan& scan : heard_scans) {
+        known = scan.inverted_microphones;
+        EXPECT_TRUE(known.empty() || known == inverted);
+      }
+      played.stamp_ns +=
+          frames::NsFromSeconds(static_cast<double>(sound.size()) / rir.sample_rate_hz);
+    }
+    EXPECT_EQ(known, inverted);
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Loudspeakers, ArrayRir,

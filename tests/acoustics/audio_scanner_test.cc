@@ -251,6 +251,47 @@ TEST(AudioScanner, ADeadMicrophoneIsDoneWithout) {
   }
 }
 
+// As if it had been wired right, once that is known.
+TEST(AudioScanner, AnInvertedMicrophoneIsMended) {
+  constexpr int kSamples = 5 * kRate_hz;
+  const auto sound = Sound(kSamples);
+  for (const bool one_dead : {false, true}) {
+    auto right = sound;
+    for (int s = 0; one_dead && s < kSamples; ++s) right[4 * s + 3] = 9;
+    auto inverted = right;
+    for (int s = 0; s < kSamples; ++s) inverted[4 * s + 1] *= -1;
+    const auto expected = PushAll(*MakeScanner(), right, 4000);
+    const auto scanner = MakeScanner();
+    const auto scans = PushAll(*scanner, inverted, 4000);
+    ASSERT_EQ(scans.size(), expected.size());
+    std::size_t mended = 0;
+    for (std::size_t k = 0; k < scans.size(); ++k) {
+      EXPECT_TRUE(expected[k].inverted_microphones.empty());
+      if (scans[k].inverted_microphones.empty()) continue;
+      EXPECT_EQ(scans[k].inverted_microphones, std::vector<int>{1});
+      ExpectSame(scans[k], expected[k]);
+      ++mended;
+    }
+    EXPECT_GT(mended, scans.size() / 2);
+    EXPECT_FALSE(scans[0].likelihood == expected[0].likelihood);
+    // A scanner that goes on from here knows it.
+    const auto restored = MakeScanner();
+    ASSERT_TRUE(restored->Restore(scanner->state()).ok());
+    const auto next = restored->Push(Block(inverted, 0, 4000, kStart_ns + 5'000'000'000)).value();
+    ASSERT_FALSE(next.empty());
+    EXPECT_EQ(next[0].inverted_microphones, std::vector<int>{1});
+  }
+}
+
+TEST(AudioScanner, ThePaperProfileTakesTheMicrophonesAsTheyAre) {
+  auto sound = Sound(5 * kRate_hz);
+  for (std::size_t i = 1; i < sound.size(); i += 4) sound[i] *= -1;
+  const auto scanner = MakeScanner(AcousticsConfig::Paper());
+  for (const LikelihoodScan& scan : PushAll(*scanner, sound, 4000)) {
+    EXPECT_TRUE(scan.inverted_microphones.empty());
+  }
+}
+
 TEST(AudioScanner, EveryNumberIsFinite) {
   // Full scale, the smallest steps, and silence between clicks.
   std::mt19937_64 random(3);
@@ -342,6 +383,7 @@ TEST(AudioScanner, AStateThatCannotBeIsRefused) {
   EXPECT_TRUE(refused([](AudioScanner::State& s) { s.clock.push_back(s.clock.back()); }));
   EXPECT_TRUE(refused([](AudioScanner::State& s) { s.clock[0].stamp_ns = -1; }));
   EXPECT_TRUE(refused([](AudioScanner::State& s) { s.next_sample = 0; }));
+  EXPECT_TRUE(refused([](AudioScanner::State& s) { s.polarity.inverted = {4}; }));
 }
 
 TEST(AudioScanner, ScannersOfOneArrayShareTheirTables) {

@@ -265,6 +265,36 @@ TEST_F(ListeningTest, WithoutLidarThereIsNoEvidenceAndAWarning) {
   EXPECT_NE(warnings[0].find("LIDAR"), std::string::npos);
 }
 
+TEST_F(ListeningTest, AMicrophoneOfInvertedPolarityIsNamed) {
+  const auto mended = [&](const std::vector<int>& inverted) {
+    const auto listening = Create();
+    Listening::Output output;
+    std::mt19937 random(8);
+    std::normal_distribution<double> noise(0.0, 1000.0);
+    std::vector<frames::Frame> drive = Drive(8.0);
+    for (frames::Frame& frame : drive) {
+      if (auto* audio = std::get_if<frames::AudioBlock>(&frame)) {
+        // A sound that reaches all microphones at once.
+        for (std::size_t i = 0; i < audio->samples.size(); i += 4) {
+          const auto sound = static_cast<std::int16_t>(noise(random));
+          for (int n = 0; n < 4; ++n) audio->samples[i + n] += sound;
+          for (const int n : inverted) audio->samples[i + n] *= -1;
+        }
+      }
+      Process(*listening, frame, output);
+    }
+    listening->Finish(output);
+    EXPECT_EQ(listening->counters().inverted_microphones, inverted);
+    return listening->Warnings();
+  };
+  EXPECT_EQ(mended({}), std::vector<std::string>{});
+  const std::vector<std::string> warnings = mended({2});
+  ASSERT_EQ(warnings.size(), 1u);
+  EXPECT_NE(warnings[0].find("audio scan(s) mended the inverted polarity of mic_2"),
+            std::string::npos)
+      << warnings[0];
+}
+
 TEST_F(ListeningTest, OdometryThatRunsBackwardsIsCountedAndLeftOut) {
   const auto listening = Create();
   Listening::Output output;
