@@ -114,16 +114,13 @@ void SourceRegister::Observe(const Observation& scan) {
       }
     }
   }
-  if (scan.array_plane) {
-    std::vector<HeardPlace> heard;
-    for (const int i : touched_) {
-      Track& track = state_.tracks[i];
-      if (hits_[i].supporting == 0) continue;
-      heard.push_back(
-          {track.source.found.id, track.source.found.position_in_map_m, &track.mirrors});
-    }
-    CountMirrors(*scan.array_plane, heard);
+  std::vector<HeardPlace> heard;
+  for (const int i : touched_) {
+    Track& track = state_.tracks[i];
+    if (hits_[i].supporting == 0) continue;
+    heard.push_back({track.source.found.id, track.source.found.position_in_map_m, &track.mirrors});
   }
+  CountMirrors(scan.array_plane, heard);
   for (const int i : touched_) Listen(state_.tracks[i], std::exchange(hits_[i], {}), scan);
   touched_.clear();
 }
@@ -180,25 +177,45 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
                                   voxel_m2 * Eigen::Matrix3d::Identity();
 }
 
-void SourceRegister::RuleOutMirrors() {
-  const auto strength = [](const Track& track) {
-    return std::pair(track.source.found.evidence * (track.announced ? kAnnouncedWeight : 1.0),
-                     track.source.found.id);
+bool SourceRegister::RulesOut(const Track& track, const Track& mirror) const {
+  if (!mirror.mirrors.Has(track.source.found.id)) return false;
+  const auto strength = [](const Track& of) {
+    return std::pair(of.source.found.evidence * (of.announced ? kAnnouncedWeight : 1.0),
+                     of.source.found.id);
   };
+  return strength(mirror) < strength(track);
+}
+
+void SourceRegister::RuleOutMirrors() {
   std::set<std::uint64_t> ids;
   for (const Track& track : state_.tracks) ids.insert(track.source.found.id);
   for (Track& track : state_.tracks) {
     std::erase_if(track.mirrors.with,
                   [&](const auto& mirror) { return ids.count(mirror.first) == 0; });
     if (track.source.state != SourceState::kActive) continue;
-    for (const Track& other : state_.tracks) {
-      if (!track.mirrors.Has(other.source.found.id) || !(strength(track) < strength(other))) {
-        continue;
-      }
+    if (std::any_of(state_.tracks.begin(), state_.tracks.end(),
+                    [&](const Track& other) { return RulesOut(other, track); })) {
       double& probability = track.source.found.probability;
       probability = std::min(probability, kMirrorProbability);
     }
   }
+}
+
+RegisteredSource SourceRegister::Describe(const Track& track) const {
+  RegisteredSource source = track.source;
+  if (track.mirrors.with.empty()) return source;
+  const Track* strongest = nullptr;
+  for (const Track& mirror : state_.tracks) {
+    if (mirror.source.found.probability > kMirrorProbability || !RulesOut(track, mirror) ||
+        !track.mirrors.Has(mirror.source.found.id)) {
+      continue;
+    }
+    if (strongest == nullptr || mirror.source.found.evidence > strongest->source.found.evidence) {
+      strongest = &mirror;
+    }
+  }
+  if (strongest != nullptr) source.mirror_in_map_m = strongest->source.found.position_in_map_m;
+  return source;
 }
 
 double SourceRegister::ProbabilityOf(const Track& track) const {
@@ -245,10 +262,10 @@ std::vector<SourceEvent> SourceRegister::Update(const std::vector<SoundSource>& 
 }
 
 SourceEvent SourceRegister::EventOf(SourceEvent::Kind kind, const Track& track) const {
-  return {kind, state_.last_ns, track.source};
+  return {kind, state_.last_ns, Describe(track)};
 }
 
-void SourceRegister::MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events) const {
+void SourceRegister::MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events) {
   // The name of the one that was announced, and of these the one that was heard first.
   const auto rank = [](const Track& track) {
     return std::tuple(!track.announced, track.source.found.first_heard_ns, track.source.found.id);
@@ -258,6 +275,9 @@ void SourceRegister::MergeInto(Track& into, Track& from, std::vector<SourceEvent
     std::swap(from.announced, into.announced);
   }
   into.source.TakeHistory(from.source);
+  for (Track& track : state_.tracks) {
+    track.mirrors.Merge(from.source.found.id, into.source.found.id);
+  }
   if (!from.announced) return;
   events.push_back(EventOf(SourceEvent::Kind::kMerged, from));
   events.back().other_id = into.source.found.id;
@@ -314,7 +334,10 @@ void SourceRegister::Join(const std::vector<SoundSource>& found, std::vector<Sou
     }
     if (nearest >= 0) {
       MergeInto(tracks[nearest], track, events);
-    } else if (IsSure(track)) {
+    } else if (IsSure(track) || std::any_of(tracks.begin(), tracks.end(), [&](const Track& other) {
+                 return other.source.state != SourceState::kActive && !other.left &&
+                        RulesOut(other, track);
+               })) {
       is_kept[t] = true;
     } else if (track.announced) {
       track.source.state = SourceState::kGone;
@@ -397,6 +420,9 @@ void SourceRegister::Move(std::vector<SourceEvent>& events) {
     Track& old = tracks[from];
     Track& present = tracks[to];
     if (old.left || !has_moved.insert(to).second) continue;
+    for (Track& track : tracks) {
+      track.mirrors.Swap(old.source.found.id, present.source.found.id);
+    }
     std::swap(old.source.found.id, present.source.found.id);
     present.source.TakeHistory(old.source);
     old.left = true;
@@ -443,7 +469,7 @@ std::vector<RegisteredSource> SourceRegister::Sources() const {
   std::vector<RegisteredSource> sources;
   sources.reserve(state_.tracks.size());
   for (const Track& track : state_.tracks) {
-    if (!track.left) sources.push_back(track.source);
+    if (!track.left) sources.push_back(Describe(track));
   }
   std::sort(sources.begin(), sources.end(), [](const auto& a, const auto& b) {
     return a.found.probability != b.found.probability ? a.found.probability > b.found.probability

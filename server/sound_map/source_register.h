@@ -42,7 +42,9 @@ struct SourceEvent {
 //
 // An array in a plane hears a source and its mirror image alike. Of two places, the weaker of which
 // is heard as the image of the other one (Mirrors::Has), the one with more evidence is the source;
-// the other one is kept as improbable.
+// the other one is kept as improbable, and told as mirror_in_map_m of the source as long as the
+// source, too, is heard with its image in half of the scans: an array in space and one in another
+// plane tell them apart. It is kept for a source that fell silent, since silence tells nothing.
 //
 // A scan listens to a source if it has an end point within core_radius_m of it, and hears it if one
 // of these supports a source. Silence counts only near where robots have heard the source before:
@@ -113,9 +115,11 @@ class SourceRegister {
   bool IsSure(const Track& track) const;
   void Listen(Track& track, const Hit& hit, const Observation& scan);
   void RuleOutMirrors();
+  bool RulesOut(const Track& track, const Track& mirror) const;
+  RegisteredSource Describe(const Track& track) const;
   double ProbabilityOf(const Track& track) const;
   void JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns);
-  void MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events) const;
+  void MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events);
   void Join(const std::vector<SoundSource>& found, std::vector<SourceEvent>& events);
   void Move(std::vector<SourceEvent>& events);
   void ChangeStates(std::vector<SourceEvent>& events);

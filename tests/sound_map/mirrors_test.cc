@@ -93,6 +93,45 @@ TEST(Mirrors, HalfOfTheScansAndSixteenTell) {
   EXPECT_EQ(told(4000, 3000), std::pair(false, true));
 }
 
+// An array in space, or one whose plane lies elsewhere, tells a place from its image.
+TEST(Mirrors, WhatAnotherArrayHearsSpeaksAgainstAnImage) {
+  const ArrayPlane plane{{0.0, 0.0, 1.2}, Eigen::Vector3d::UnitZ()};
+  const ArrayPlane higher{{0.0, 0.0, 1.8}, Eigen::Vector3d::UnitZ()};
+  for (const std::optional<ArrayPlane>& other : {std::optional<ArrayPlane>(), {higher}}) {
+    Mirrors upper;
+    Mirrors lower;
+    const std::vector<HeardPlace> both = {{1, {3.0, 1.0, 1.9}, &upper},
+                                          {2, {3.0, 1.0, 0.5}, &lower}};
+    for (int scan = 0; scan < 40; ++scan) CountMirrors(plane, both);
+    for (int scan = 0; scan < 40; ++scan) CountMirrors(other, {both[0]});
+    EXPECT_TRUE(upper.Has(2));
+    CountMirrors(other, {both[0]});
+    EXPECT_FALSE(upper.Has(2));
+    EXPECT_TRUE(lower.Has(1));
+    for (int scan = 0; scan < 41; ++scan) CountMirrors(other, both);
+    EXPECT_FALSE(lower.Has(1));
+  }
+}
+
+TEST(Mirrors, FollowNames) {
+  Mirrors mirrors;
+  mirrors.with = {{1, 20.0}, {2, 30.0}, {3, 5.0}};
+  using With = std::map<std::uint64_t, double>;
+  mirrors.Swap(1, 2);
+  EXPECT_EQ(mirrors.with, With({{1, 30.0}, {2, 20.0}, {3, 5.0}}));
+  mirrors.Swap(9, 3);
+  EXPECT_EQ(mirrors.with, With({{1, 30.0}, {2, 20.0}, {9, 5.0}}));
+  mirrors.Swap(7, 8);
+  mirrors.Merge(7, 1);
+  EXPECT_EQ(mirrors.with, With({{1, 30.0}, {2, 20.0}, {9, 5.0}}));
+  mirrors.Merge(1, 2);
+  EXPECT_EQ(mirrors.with, With({{2, 30.0}, {9, 5.0}}));
+  mirrors.Merge(9, 4);
+  EXPECT_EQ(mirrors.with, With({{2, 30.0}, {4, 5.0}}));
+  mirrors.Merge(4, 2);
+  EXPECT_EQ(mirrors.with, With({{2, 30.0}}));
+}
+
 TEST(Mirrors, OldScansAreForgottenAndTheShareStays) {
   const ArrayPlane plane{{0.0, 0.0, 1.2}, Eigen::Vector3d::UnitZ()};
   Mirrors upper;
