@@ -240,6 +240,7 @@ Json ToJson(const SoundSource& source) {
       spectrum.push_back({{"centre_hz", band.centre_hz}, {"level_db", band.level_db}});
     }
   }
+  if (source.mirror_in_map_m) json["mirror_position_m"] = ToJson(*source.mirror_in_map_m);
   return json;
 }
 

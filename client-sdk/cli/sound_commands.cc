@@ -64,6 +64,12 @@ absl::Status Sources(Client& client, const SourcesArguments& arguments) {
                FormatTime(source.first_heard_ns), FormatTime(source.last_heard_ns)});
   }
   table.Print(std::cout);
+  for (const SoundSource& source : list->sources) {
+    if (!source.mirror_in_map_m) continue;
+    const Vector3& p = *source.mirror_in_map_m;
+    std::cout << source.id << " may be at " << Fixed(p.x, 2) << ' ' << Fixed(p.y, 2) << ' '
+              << Fixed(p.z, 2) << " instead: the array cannot tell above from below.\n";
+  }
   return absl::OkStatus();
 }
 

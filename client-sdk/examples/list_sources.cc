@@ -24,5 +24,9 @@ int main(int argc, char** argv) {
     const soundmap::Vector3& p = source.position_in_map_m;
     std::printf("%s at (%.2f, %.2f, %.2f) m, probability %.2f\n", source.id.c_str(), p.x, p.y, p.z,
                 source.probability);
+    if (source.mirror_in_map_m) {
+      const soundmap::Vector3& m = *source.mirror_in_map_m;
+      std::printf("  or at (%.2f, %.2f, %.2f) m: the array cannot tell\n", m.x, m.y, m.z);
+    }
   }
 }

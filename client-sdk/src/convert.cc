@@ -249,6 +249,7 @@ SoundSource FromProto(const v1::SoundSource& wire) {
   for (const auto& band : wire.spectrum()) {
     source.spectrum.push_back({band.centre_hz(), band.level_db()});
   }
+  if (wire.has_mirror_position_m()) source.mirror_in_map_m = FromProto(wire.mirror_position_m());
   return source;
 }
 

@@ -211,6 +211,9 @@ v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSour
     level->set_centre_hz(frames::OctaveCentre_hz(band));
     level->set_level_db(*spectrum_db[band]);
   }
+  if (registered.mirror_in_map_m) {
+    Set(proto.mutable_mirror_position_m(), *registered.mirror_in_map_m);
+  }
   return proto;
 }
 

@@ -41,7 +41,7 @@ void serialize(Archive& archive, soundmap::sound_map::RegisteredSource& source, 
 }
 
 template <class Archive>
-void serialize(Archive& archive, soundmap::sound_map::SourceRegister::View& view, unsigned) {
+void serialize(Archive& archive, soundmap::sound_map::View& view, unsigned) {
   archive& view.begin_in_map_m& view.scans& view.with_maximum;
 }
 
@@ -50,7 +50,8 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::Track& tra
   archive& track.source& track.judged_ns& track.log_odds_on& track.found_ns& track
       .active_until_ns& track.left& track.listened_scans& track.heard_scans& track.sure_scans& track
       .silent_s& track.announced& track.position_scans& track.mean_in_map_m& track.scatter_m2& track
-      .views& track.past_views& track.past_views_heard& track.planar_scans& track.mirrors;
+      .views.present& track.views.past& track.views.past_heard& track.mirrors.scans& track.mirrors
+      .with;
 }
 
 template <class Archive>

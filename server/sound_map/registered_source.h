@@ -60,6 +60,9 @@ struct RegisteredSource {
   std::vector<std::string> robots;      // that heard it, by name
   std::vector<ViewPoint> view_points;   // thinned out
   std::vector<HeardPeriod> heard;       // oldest first
+  // Where it may be instead, as far as all arrays that heard it can tell, being in a plane: a
+  // weaker candidate, mirrored. Not part of the register's state, which it follows from.
+  std::optional<Eigen::Vector3d> mirror_in_map_m;
 
   // Median over the view points of the mean power, in dB, 0 dB being a full-scale square wave at
   // 1 m. None in a band that was not measured or where the source does not stand out.

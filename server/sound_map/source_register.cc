@@ -6,8 +6,6 @@
 #include <tuple>
 #include <utility>
 
-#include "geometry/angles.h"
-
 namespace soundmap::sound_map {
 namespace {
 
@@ -35,36 +33,14 @@ constexpr frames::TimeNs kLate_ns = 10'000'000'000;
 constexpr double kMaxPause_s = 1.0;
 
 constexpr std::size_t kMaxViewPoints = 64;
+constexpr std::size_t kMaxGone = 256;
 
 // A scan has a maximum at a source that is so near.
 constexpr double kAtMaximum_m = 0.2;
-// A view hears a source in this share of its scans at least.
-constexpr double kLeastHeard = 0.1;
-// The odds with views.
-constexpr double kLogOddsBefore = -3.9;
-constexpr double kEvidencePower = 0.36;
-constexpr double kHeardViewsPower = 2.94;
-constexpr double kViewsPower = 0.53;
-constexpr double kMaxEvidence = 1000.0;
-// More past views are halved.
-constexpr double kMaxPastViews = 32.0;
-// Robots whose present views are told apart.
-constexpr std::size_t kMaxPresentViews = 16;
-
-// Directions are mirrored within this angle; nearer to the plane above and below are one.
-const double kMirrorCosine = std::cos(geometry::RadFromDeg(8.0));
-constexpr double kMinPlanarScans = 16.0;
-constexpr double kMaxPlanarScans = 1024.0;  // more are halved
-constexpr double kLeastMirrored = 0.5;
 // That the weaker of two mirrored places is the source.
 constexpr double kMirrorProbability = 0.3;
 // A source that was announced is not ruled out by one that is only just stronger.
 constexpr double kAnnouncedWeight = 1.5;
-
-bool Heard(const SourceRegister::View& view) {
-  return view.with_maximum > 0 && view.with_maximum >= kLeastHeard * view.scans;
-}
-constexpr std::size_t kMaxGone = 256;
 
 // A source that has moved: how far at most, and how long after it was heard for the last time it is
 // found again at least. What is there all the time is found in some seconds.
@@ -81,14 +57,10 @@ bool ShareAViewPoint(const RegisteredSource& a, const RegisteredSource& b, doubl
   return false;
 }
 
-geometry::VoxelKey BlockOf(const geometry::VoxelKey& key) {
-  return {static_cast<std::uint16_t>(key.x >> 3), static_cast<std::uint16_t>(key.y >> 3),
-          static_cast<std::uint16_t>(key.z >> 3)};
-}
-
 }  // namespace
 
-SourceRegister::SourceRegister(const SoundMapConfig& config) : config_(config) {}
+SourceRegister::SourceRegister(const SoundMapConfig& config)
+    : config_(config), places_(config.sources.core_radius_m, config.voxel_size_m) {}
 
 void SourceRegister::Restore(State state) {
   state_ = std::move(state);
@@ -107,34 +79,21 @@ bool SourceRegister::IsSure(const Track& track) const {
 void SourceRegister::Observe(const Observation& scan) {
   ++state_.scans[scan.robot];
   state_.last_ns = scan.evidence->stamp_ns;
-  const double radius_m2 = config_.sources.core_radius_m * config_.sources.core_radius_m;
   for (const EndPoint& end_point : scan.evidence->end_points) {
-    const geometry::VoxelKey block = BlockOf(end_point.key);
-    if (!filter_[std::hash<geometry::VoxelKey>()(block) % kFilterBits]) continue;
-    const auto near = tracks_of_block_.find(block);
-    if (near == tracks_of_block_.end()) continue;
-    const Eigen::Vector3d place = geometry::PointFromKey(end_point.key, config_.voxel_size_m);
-    int nearest = -1;
-    double nearest_m2 = radius_m2;
-    for (const int i : near->second) {
-      const double distance_m2 =
-          (state_.tracks[i].source.found.position_in_map_m - place).squaredNorm();
-      if (distance_m2 > nearest_m2) continue;
-      nearest = i;
-      nearest_m2 = distance_m2;
-    }
-    if (nearest < 0) continue;
-    Hit& hit = hits_[nearest];
-    if (hit.end_points++ == 0) touched_.push_back(nearest);
+    if (!places_.MayBeNear(end_point.key)) continue;
+    const std::optional<int> nearest = places_.Nearest(end_point.key);
+    if (!nearest) continue;
+    Hit& hit = hits_[*nearest];
+    if (hit.end_points++ == 0) touched_.push_back(*nearest);
     if (end_point.likelihood > 0.5f) {
       ++hit.supporting;
-      hit.sum_in_map_m += place;
+      hit.sum_in_map_m += geometry::PointFromKey(end_point.key, config_.voxel_size_m);
     }
   }
   if (scan.peaks != nullptr) {
     for (const HeardPeak& peak : *scan.peaks) {
       int nearest = -1;
-      double nearest_m2 = radius_m2;
+      double nearest_m2 = config_.sources.core_radius_m * config_.sources.core_radius_m;
       for (const int i : touched_) {
         const double distance_m2 =
             (state_.tracks[i].source.found.position_in_map_m - peak.place_in_map_m).squaredNorm();
@@ -155,7 +114,13 @@ void SourceRegister::Observe(const Observation& scan) {
       }
     }
   }
-  if (scan.array_plane) CountMirrors(*scan.array_plane);
+  std::vector<HeardPlace> heard;
+  for (const int i : touched_) {
+    Track& track = state_.tracks[i];
+    if (hits_[i].supporting == 0) continue;
+    heard.push_back({track.source.found.id, track.source.found.position_in_map_m, &track.mirrors});
+  }
+  CountMirrors(scan.array_plane, heard);
   for (const int i : touched_) Listen(state_.tracks[i], std::exchange(hits_[i], {}), scan);
   touched_.clear();
 }
@@ -164,7 +129,8 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
   const frames::TimeNs stamp_ns = scan.evidence->stamp_ns;
   RegisteredSource& source = track.source;
   if (!scan.evidence->maxima.empty() && source.state == SourceState::kActive) {
-    See(track, hit.at_maximum, scan);
+    track.views.Add(scan.robot, scan.robot_in_map_m, hit.at_maximum,
+                    config_.sources.view_point_spacing_m);
   }
   const bool heard = hit.supporting > 0;
   const double pause_s =
@@ -211,98 +177,53 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
                                   voxel_m2 * Eigen::Matrix3d::Identity();
 }
 
-void SourceRegister::CountMirrors(const ArrayPlane& plane) {
-  std::vector<std::pair<int, Eigen::Vector3d>> heard;  // the tracks' directions
-  for (const int i : touched_) {
-    if (hits_[i].supporting == 0) continue;
-    Track& track = state_.tracks[i];
-    if (track.planar_scans >= kMaxPlanarScans) {
-      track.planar_scans /= 2.0;
-      for (auto& [id, scans] : track.mirrors) scans /= 2.0;
-    }
-    track.planar_scans += 1.0;
-    heard.emplace_back(i,
-                       (track.source.found.position_in_map_m - plane.origin_in_map_m).normalized());
-  }
-  for (std::size_t a = 0; a < heard.size(); ++a) {
-    const Eigen::Vector3d& direction = heard[a].second;
-    const Eigen::Vector3d image =
-        direction - 2.0 * plane.normal_in_map.dot(direction) * plane.normal_in_map;
-    if (image.dot(direction) > kMirrorCosine) continue;
-    for (std::size_t b = a + 1; b < heard.size(); ++b) {
-      if (image.dot(heard[b].second) < kMirrorCosine) continue;
-      Track& one = state_.tracks[heard[a].first];
-      Track& other = state_.tracks[heard[b].first];
-      one.mirrors[other.source.found.id] += 1.0;
-      other.mirrors[one.source.found.id] += 1.0;
-    }
-  }
+bool SourceRegister::RulesOut(const Track& track, const Track& mirror) const {
+  if (!mirror.mirrors.Has(track.source.found.id)) return false;
+  const auto strength = [](const Track& of) {
+    return std::pair(of.source.found.evidence * (of.announced ? kAnnouncedWeight : 1.0),
+                     of.source.found.id);
+  };
+  return strength(mirror) < strength(track);
 }
 
 void SourceRegister::RuleOutMirrors() {
-  const auto strength = [](const Track& track) {
-    return std::pair(track.source.found.evidence * (track.announced ? kAnnouncedWeight : 1.0),
-                     track.source.found.id);
-  };
   std::set<std::uint64_t> ids;
   for (const Track& track : state_.tracks) ids.insert(track.source.found.id);
   for (Track& track : state_.tracks) {
-    std::erase_if(track.mirrors, [&](const auto& mirror) { return ids.count(mirror.first) == 0; });
-    if (track.source.state != SourceState::kActive || track.planar_scans < kMinPlanarScans)
-      continue;
-    for (const Track& other : state_.tracks) {
-      const auto mirrored = track.mirrors.find(other.source.found.id);
-      if (mirrored == track.mirrors.end() || !(strength(track) < strength(other)) ||
-          mirrored->second < kLeastMirrored * track.planar_scans) {
-        continue;
-      }
+    std::erase_if(track.mirrors.with,
+                  [&](const auto& mirror) { return ids.count(mirror.first) == 0; });
+    if (track.source.state != SourceState::kActive) continue;
+    if (std::any_of(state_.tracks.begin(), state_.tracks.end(),
+                    [&](const Track& other) { return RulesOut(other, track); })) {
       double& probability = track.source.found.probability;
       probability = std::min(probability, kMirrorProbability);
     }
   }
 }
 
-void SourceRegister::See(Track& track, bool at_maximum, const Observation& scan) const {
-  const auto end = [&track](const View& view) {
-    if (track.past_views >= kMaxPastViews) {
-      track.past_views /= 2.0;
-      track.past_views_heard /= 2.0;
+RegisteredSource SourceRegister::Describe(const Track& track) const {
+  RegisteredSource source = track.source;
+  if (track.mirrors.with.empty()) return source;
+  const Track* strongest = nullptr;
+  for (const Track& mirror : state_.tracks) {
+    if (mirror.source.found.probability > kMirrorProbability || !RulesOut(track, mirror) ||
+        !track.mirrors.Has(mirror.source.found.id)) {
+      continue;
     }
-    track.past_views += 1.0;
-    if (Heard(view)) track.past_views_heard += 1.0;
-  };
-  auto present = track.views.find(scan.robot);
-  if (present != track.views.end() &&
-      (present->second.begin_in_map_m - scan.robot_in_map_m).norm() >=
-          config_.sources.view_point_spacing_m) {
-    end(present->second);
-    track.views.erase(present);
-    present = track.views.end();
-  }
-  if (present == track.views.end()) {
-    if (track.views.size() >= kMaxPresentViews) {
-      end(track.views.begin()->second);
-      track.views.erase(track.views.begin());
+    if (strongest == nullptr || mirror.source.found.evidence > strongest->source.found.evidence) {
+      strongest = &mirror;
     }
-    present = track.views.emplace(scan.robot, View{scan.robot_in_map_m}).first;
   }
-  ++present->second.scans;
-  if (at_maximum) ++present->second.with_maximum;
+  if (strongest != nullptr) source.mirror_in_map_m = strongest->source.found.position_in_map_m;
+  return source;
 }
 
 double SourceRegister::ProbabilityOf(const Track& track) const {
   const SoundSource& found = track.source.found;
-  const double views = track.past_views + static_cast<double>(track.views.size());
-  if (!config_.sources.judge_by_views || views == 0.0 || !(found.evidence > 0.0)) {
+  if (!config_.sources.judge_by_views || track.views.count() == 0.0 || !(found.evidence > 0.0)) {
     return found.probability;
   }
-  const auto heard = static_cast<double>(std::count_if(
-      track.views.begin(), track.views.end(), [](const auto& view) { return Heard(view.second); }));
-  const double log_odds = kLogOddsBefore +
-                          kEvidencePower * std::log(std::min(found.evidence, kMaxEvidence)) +
-                          kHeardViewsPower * std::log(track.past_views_heard + heard + 1.0) -
-                          kViewsPower * std::log(views + 1.0);
-  return ProbabilityFromLogOdds(log_odds);
+  return ProbabilityFromLogOdds(LogOddsByViews(found.evidence, track.views));
 }
 
 void SourceRegister::JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns) {
@@ -341,10 +262,10 @@ std::vector<SourceEvent> SourceRegister::Update(const std::vector<SoundSource>& 
 }
 
 SourceEvent SourceRegister::EventOf(SourceEvent::Kind kind, const Track& track) const {
-  return {kind, state_.last_ns, track.source};
+  return {kind, state_.last_ns, Describe(track)};
 }
 
-void SourceRegister::MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events) const {
+void SourceRegister::MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events) {
   // The name of the one that was announced, and of these the one that was heard first.
   const auto rank = [](const Track& track) {
     return std::tuple(!track.announced, track.source.found.first_heard_ns, track.source.found.id);
@@ -354,6 +275,9 @@ void SourceRegister::MergeInto(Track& into, Track& from, std::vector<SourceEvent
     std::swap(from.announced, into.announced);
   }
   into.source.TakeHistory(from.source);
+  for (Track& track : state_.tracks) {
+    track.mirrors.Merge(from.source.found.id, into.source.found.id);
+  }
   if (!from.announced) return;
   events.push_back(EventOf(SourceEvent::Kind::kMerged, from));
   events.back().other_id = into.source.found.id;
@@ -410,7 +334,10 @@ void SourceRegister::Join(const std::vector<SoundSource>& found, std::vector<Sou
     }
     if (nearest >= 0) {
       MergeInto(tracks[nearest], track, events);
-    } else if (IsSure(track)) {
+    } else if (IsSure(track) || std::any_of(tracks.begin(), tracks.end(), [&](const Track& other) {
+                 return other.source.state != SourceState::kActive && !other.left &&
+                        RulesOut(other, track);
+               })) {
       is_kept[t] = true;
     } else if (track.announced) {
       track.source.state = SourceState::kGone;
@@ -493,6 +420,9 @@ void SourceRegister::Move(std::vector<SourceEvent>& events) {
     Track& old = tracks[from];
     Track& present = tracks[to];
     if (old.left || !has_moved.insert(to).second) continue;
+    for (Track& track : tracks) {
+      track.mirrors.Swap(old.source.found.id, present.source.found.id);
+    }
     std::swap(old.source.found.id, present.source.found.id);
     present.source.TakeHistory(old.source);
     old.left = true;
@@ -528,34 +458,18 @@ void SourceRegister::Forget() {
 }
 
 void SourceRegister::IndexPlaces() {
-  filter_.reset();
-  tracks_of_block_.clear();
   hits_.assign(state_.tracks.size(), {});
-  const double radius_m = config_.sources.core_radius_m;
-  for (int i = 0; i < static_cast<int>(state_.tracks.size()); ++i) {
-    const Eigen::Vector3d& place = state_.tracks[i].source.found.position_in_map_m;
-    const auto low = geometry::KeyFromPoint(place.array() - radius_m, config_.voxel_size_m);
-    const auto high = geometry::KeyFromPoint(place.array() + radius_m, config_.voxel_size_m);
-    if (!low || !high) continue;
-    const geometry::VoxelKey first = BlockOf(*low);
-    const geometry::VoxelKey last = BlockOf(*high);
-    for (std::uint16_t z = first.z; z <= last.z; ++z) {
-      for (std::uint16_t y = first.y; y <= last.y; ++y) {
-        for (std::uint16_t x = first.x; x <= last.x; ++x) {
-          const geometry::VoxelKey block{x, y, z};
-          filter_.set(std::hash<geometry::VoxelKey>()(block) % kFilterBits);
-          tracks_of_block_[block].push_back(i);
-        }
-      }
-    }
-  }
+  std::vector<Eigen::Vector3d> places;
+  places.reserve(state_.tracks.size());
+  for (const Track& track : state_.tracks) places.push_back(track.source.found.position_in_map_m);
+  places_.Set(std::move(places));
 }
 
 std::vector<RegisteredSource> SourceRegister::Sources() const {
   std::vector<RegisteredSource> sources;
   sources.reserve(state_.tracks.size());
   for (const Track& track : state_.tracks) {
-    if (!track.left) sources.push_back(track.source);
+    if (!track.left) sources.push_back(Describe(track));
   }
   std::sort(sources.begin(), sources.end(), [](const auto& a, const auto& b) {
     return a.found.probability != b.found.probability ? a.found.probability > b.found.probability

@@ -1,8 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <bitset>
-#include <boost/unordered/unordered_flat_map.hpp>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -11,7 +9,10 @@
 
 #include "sound_map/config.h"
 #include "sound_map/evidence.h"
+#include "sound_map/mirrors.h"
+#include "sound_map/place_index.h"
 #include "sound_map/registered_source.h"
+#include "sound_map/views.h"
 
 namespace soundmap::sound_map {
 
@@ -35,17 +36,15 @@ struct SourceEvent {
 // is merged into one that was found within separation_m of it (within masking_radius_m, if it is
 // active); kept, if it was sure for kSureScans from two view points; and forgotten otherwise.
 //
-// A ghost is heard from some places and not from others, a source from wherever it is in view. A
-// robot's view begins anew when it has moved on by view_point_spacing_m, and hears a source if a
-// tenth of its scans have a local maximum of the power there. If h of the n views since the source
-// was first found heard it, and its evidence is e, the odds that it is one are
-//   exp(-3.9) e^0.36 (h + 1)^2.94 / (n + 1)^0.53,
-// by logistic regression over 492 candidates of 53 simulated rooms. Old views are forgotten, and e
-// counts up to 1000, so that a ghost does not become sure with time.
+// A ghost is heard from some places and not from others, a source from wherever it is in view: how
+// probable a source is says LogOddsByViews(), with the views since it was first found, each
+// view_point_spacing_m long. A maximum within 0.2 m of a source is at it.
 //
-// An array in a plane hears a source and its mirror image alike. Of two places that it hears in
-// mirrored directions, in half of the scans that hear the weaker one, the one with more evidence is
-// the source; the other one is kept as improbable.
+// An array in a plane hears a source and its mirror image alike. Of two places, the weaker of which
+// is heard as the image of the other one (Mirrors::Has), the one with more evidence is the source;
+// the other one is kept as improbable, and told as mirror_in_map_m of the source as long as the
+// source, too, is heard with its image in half of the scans: an array in space and one in another
+// plane tell them apart. It is kept for a source that fell silent, since silence tells nothing.
 //
 // A scan listens to a source if it has an end point within core_radius_m of it, and hears it if one
 // of these supports a source. Silence counts only near where robots have heard the source before:
@@ -76,12 +75,6 @@ class SourceRegister {
   // The most probable first, then by id.
   std::vector<RegisteredSource> Sources() const;
 
-  // How often a robot listened from about one place.
-  struct View {
-    Eigen::Vector2d begin_in_map_m = Eigen::Vector2d::Zero();
-    int scans = 0;
-    int with_maximum = 0;
-  };
   // What is known of one place.
   struct Track {
     RegisteredSource source;
@@ -98,11 +91,8 @@ class SourceRegister {
     std::int64_t position_scans = 0;     // that `scatter_m2` is of
     Eigen::Vector3d mean_in_map_m = Eigen::Vector3d::Zero();
     Eigen::Matrix3d scatter_m2 = Eigen::Matrix3d::Zero();
-    std::map<std::string, View> views;  // present ones, by robot
-    double past_views = 0.0;            // old ones are forgotten
-    double past_views_heard = 0.0;
-    double planar_scans = 0.0;                // that heard it with an array in a plane
-    std::map<std::uint64_t, double> mirrors;  // of these, that heard this one where its image is
+    Views views;
+    Mirrors mirrors;
   };
   // All that the future depends on.
   struct State {
@@ -124,12 +114,12 @@ class SourceRegister {
 
   bool IsSure(const Track& track) const;
   void Listen(Track& track, const Hit& hit, const Observation& scan);
-  void CountMirrors(const ArrayPlane& plane);
   void RuleOutMirrors();
-  void See(Track& track, bool at_maximum, const Observation& scan) const;
+  bool RulesOut(const Track& track, const Track& mirror) const;
+  RegisteredSource Describe(const Track& track) const;
   double ProbabilityOf(const Track& track) const;
   void JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns);
-  void MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events) const;
+  void MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events);
   void Join(const std::vector<SoundSource>& found, std::vector<SourceEvent>& events);
   void Move(std::vector<SourceEvent>& events);
   void ChangeStates(std::vector<SourceEvent>& events);
@@ -139,11 +129,7 @@ class SourceRegister {
 
   SoundMapConfig config_;
   State state_;
-  // Which tracks may be near a voxel, by its 8^3 block; most blocks are told from the filter.
-  static constexpr std::size_t kFilterBits = 1 << 15;
-  std::bitset<kFilterBits> filter_;
-  boost::unordered_flat_map<geometry::VoxelKey, std::vector<int>, std::hash<geometry::VoxelKey>>
-      tracks_of_block_;
+  PlaceIndex places_;         // of the tracks
   std::vector<Hit> hits_;     // by track, empty between scans
   std::vector<int> touched_;  // tracks with a hit
 };

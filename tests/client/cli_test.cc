@@ -375,6 +375,22 @@ TEST_F(CliTest, PrintsSources) {
       "1970-01-01T00:16:40.000Z  1970-01-01T00:17:40.250Z\n");
 }
 
+TEST_F(CliTest, TellsWhereASourceMayBeInstead) {
+  state().sources = {Source("s1", 2, 1.6, 2.5, 0.9), Source("s2", 0.1, -5.4, 2.5, 0.8)};
+  v1::Vector3& mirror = *state().sources[0].mutable_mirror_position_m();
+  mirror.set_x(2);
+  mirror.set_y(1.6);
+  mirror.set_z(-0.125);
+  const auto json = nlohmann::json::parse(Run({"sources", "hall", "--format", "json"}).out);
+  EXPECT_EQ(json["sources"][0]["mirror_position_m"], nlohmann::json::parse("[2.0, 1.6, -0.125]"));
+  EXPECT_FALSE(json["sources"][1].contains("mirror_position_m"));
+  const std::string table = Run({"sources", "hall"}).out;
+  EXPECT_THAT(table, HasSubstr("s2       0.10  -5.40   2.50"));
+  EXPECT_THAT(table,
+              ::testing::EndsWith("Z\ns1 may be at 2.00 1.60 -0.12 instead: the array cannot "
+                                  "tell above from below.\n"));
+}
+
 TEST_F(CliTest, AsksForATimeWindowAndForStates) {
   ASSERT_EQ(Run({"sources", "hall", "--since", "100", "--until", "200", "--state", "active",
                  "--state", "gone"})

@@ -162,6 +162,7 @@ TEST_F(ClientTest, ListsSourcesMostProbableFirst) {
   add("s2", 0.7);
   add("s1", 0.7);
   add("s3", 0.9);
+  state().sources.back().mutable_mirror_position_m()->set_z(-0.5);
   const auto list =
       client_.ListSoundSources({.site = "hall", .min_probability = 0.5, .since_ns = 42});
   ASSERT_TRUE(list.ok()) << list.status();
@@ -170,6 +171,9 @@ TEST_F(ClientTest, ListsSourcesMostProbableFirst) {
   EXPECT_THAT(ids, ElementsAre("s3", "s1", "s2"));
   EXPECT_EQ(list->sources[0].site, "hall");
   EXPECT_EQ(list->sources[0].position_in_map_m.z, 2.7);
+  ASSERT_TRUE(list->sources[0].mirror_in_map_m);
+  EXPECT_EQ(list->sources[0].mirror_in_map_m->z, -0.5);
+  EXPECT_FALSE(list->sources[1].mirror_in_map_m);
   EXPECT_EQ(list->revision, 12);
   EXPECT_EQ(list->as_of_ns, 1'000'000'000'000);
   EXPECT_EQ(state().last_sources_request.site(), "sites/hall");

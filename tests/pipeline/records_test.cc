@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <boost/crc.hpp>
+
 #include "pipeline/archive.h"
 
 namespace soundmap::pipeline {
@@ -105,6 +107,42 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   for (std::size_t cut = 0; cut < bytes.size(); ++cut) {
     EXPECT_TRUE(absl::IsDataLoss(DecodeAudioScan(bytes.substr(0, cut)).status())) << cut;
   }
+}
+
+// What version 2 of the register's state looks like on disk: the bytes of a state of which every
+// part is another number.
+TEST(Archive, AStoredRegisterKeepsItsBytes) {
+  sound_map::SourceRegister::State state;
+  state.tracks.resize(2);
+  sound_map::SourceRegister::Track& track = state.tracks[1];
+  track.source.found.id = 7;
+  track.source.found.position_in_map_m = {1.5, 2.5, 0.5};
+  track.source.found.evidence = 150.25;
+  track.source.state = sound_map::SourceState::kSilent;
+  track.source.robots = {"r1", "r2"};
+  track.source.view_points.resize(2);
+  track.source.heard = {{1, 2}, {3, 4}};
+  track.log_odds_on = 3.5;
+  track.announced = true;
+  track.views.present = {{"r1", {{1.0, 2.0}, 12, 3}}, {"r2", {{-1.0, 4.0}, 5, 1}}};
+  track.views.past = 6.5;
+  track.views.past_heard = 2.25;
+  track.mirrors.scans = 40.0;
+  track.mirrors.with = {{3, 20.0}, {9, 1.5}};
+  state.scans = {{"r1", 3}};
+  state.last_ns = 99;
+  const std::string bytes = EncodeSourceRegister(state);
+  boost::crc_32_type checksum;
+  checksum.process_bytes(bytes.data(), bytes.size());
+  EXPECT_EQ(bytes.size(), 1335u);
+  EXPECT_EQ(checksum.checksum(), 0xb8a96628);
+  const auto read = DecodeSourceRegister(bytes);
+  ASSERT_TRUE(read.ok()) << read.status();
+  ASSERT_EQ(read->tracks.size(), 2u);
+  EXPECT_EQ(read->tracks[1].views.present, track.views.present);
+  EXPECT_EQ(read->tracks[1].views.past_heard, 2.25);
+  EXPECT_EQ(read->tracks[1].mirrors.scans, 40.0);
+  EXPECT_EQ(read->tracks[1].mirrors.with, track.mirrors.with);
 }
 
 // Damaged sizes and flags are refused: nothing is made room for that the bytes cannot hold.

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <optional>
@@ -417,45 +418,197 @@ TEST(SourceRegister, ARobotThatStandsStillHasOneView) {
   EXPECT_LT(after(1000, {"r1"}), 0.7);
 }
 
-// A wall that an array in a horizontal plane 1.2 m above the floor drives past: what is 0.7 m below
-// the plane is heard from everywhere 0.7 m above it, too. A third place is heard by itself.
-TEST(SourceRegister, OfTwoMirroredPlacesTheStrongerIsTheSource) {
-  const auto key = [](double x_m, double z_m) {
-    return *geometry::KeyFromPoint(Eigen::Vector3d(x_m, 4.0, z_m), kVoxel_m);
-  };
-  const auto place = [](std::uint64_t id, double x_m, double z_m, double evidence) {
-    SoundSource source = Found(id, x_m, 0.9, 100);
-    source.position_in_map_m = {x_m, 4.0, z_m};
-    source.evidence = evidence;
-    return source;
-  };
-  const auto reported = [&](std::optional<ArrayPlane> plane, double lower, double upper) {
-    SourceRegister sources(DefaultConfig());
-    const std::vector<SoundSource> found = {place(1, 3.0, 0.5, lower), place(2, 3.0, 1.9, upper),
-                                            place(3, 3.0, 2.6, 300.0)};
-    sources.Update(found);
-    for (int scan = 0; scan < 80; ++scan) {
-      EvidenceScan evidence{200 + scan * kScan_ns,
-                            {{key(3.0, 0.5), 0.9f}, {key(3.0, 1.9), 0.9f}, {key(3.0, 2.6), 0.9f}},
-                            {key(3.0, 0.5), key(3.0, 1.9), key(3.0, 2.6)}};
-      const Eigen::Vector2d robot(0.0625 * scan, 1.0);
-      if (plane) plane->origin_in_map_m << robot, 1.2;
-      sources.Observe({"r1", robot, &evidence, nullptr, plane});
+// A wall that an array 1.2 m above the floor drives past. In a horizontal plane it hears what is at
+// kLower_m from everywhere at kUpper_m, too; a third place is heard by itself.
+constexpr double kLower_m = 0.5;
+constexpr double kUpper_m = 1.9;
+constexpr double kThird_m = 2.6;
+
+SoundSource OnWall(std::uint64_t id, double z_m, double evidence, double probability = 0.9) {
+  SoundSource source = Found(id, 3.0, probability, 100);
+  source.position_in_map_m = {3.0, 4.0, z_m};
+  source.evidence = evidence;
+  return source;
+}
+
+class WallDrive {
+ public:
+  explicit WallDrive(std::vector<SoundSource> found) : found_(std::move(found)) {
+    register_.Update(found_);
+  }
+
+  // All places are seen; those at these heights are heard.
+  void Drive(int scans, std::optional<ArrayPlane> plane, const std::vector<double>& heard_m,
+             double array_m = 1.2) {
+    for (int scan = 0; scan < scans; ++scan) {
+      EvidenceScan evidence;
+      evidence.stamp_ns = 200 + scans_ * kScan_ns;
+      for (const double z_m : {kLower_m, kUpper_m, kThird_m}) {
+        const auto key = *geometry::KeyFromPoint(Eigen::Vector3d(3.0, 4.0, z_m), kVoxel_m);
+        const bool heard = std::count(heard_m.begin(), heard_m.end(), z_m) > 0;
+        evidence.end_points.push_back({key, heard ? 0.9f : 0.4f});
+        if (heard) evidence.maxima.push_back(key);
+      }
+      const Eigen::Vector2d robot(0.0625 * (scans_++ % 80), 1.0);
+      if (plane) plane->origin_in_map_m << robot, array_m;
+      register_.Observe({"r1", robot, &evidence, nullptr, plane});
     }
-    sources.Update(found);
+    events_ = register_.Update(found_);
+  }
+  void Find(std::vector<SoundSource> found) {
+    found_ = std::move(found);
+    events_ = register_.Update(found_);
+  }
+
+  std::set<std::uint64_t> Reported() const {
     std::set<std::uint64_t> ids;
-    for (const RegisteredSource& source : sources.Sources()) {
+    for (const RegisteredSource& source : register_.Sources()) {
       if (source.found.probability >= 0.5) ids.insert(source.found.id);
     }
     return ids;
+  }
+  // Height of the place where this source may be instead.
+  std::optional<double> Instead_m(std::uint64_t id) const {
+    for (const RegisteredSource& source : register_.Sources()) {
+      if (source.found.id != id || !source.mirror_in_map_m) continue;
+      EXPECT_EQ(source.mirror_in_map_m->head<2>(), Eigen::Vector2d(3.0, 4.0));
+      return source.mirror_in_map_m->z();
+    }
+    return std::nullopt;
+  }
+  std::size_t candidates() const { return register_.Sources().size(); }
+  const std::vector<SourceEvent>& events() const { return events_; }  // of the last update
+  SourceRegister& sources() { return register_; }
+
+ private:
+  std::vector<SoundSource> found_;
+  SourceRegister register_{DefaultConfig()};
+  std::vector<SourceEvent> events_;
+  int scans_ = 0;
+};
+
+using Ids = std::set<std::uint64_t>;
+
+TEST(SourceRegister, OfTwoMirroredPlacesTheStrongerIsTheSourceAndMayBeAtTheOther) {
+  const auto drive = [](std::optional<ArrayPlane> plane, double lower, double upper) {
+    WallDrive drive(
+        {OnWall(1, kLower_m, lower), OnWall(2, kUpper_m, upper), OnWall(3, kThird_m, 300.0)});
+    drive.Drive(80, plane, {kLower_m, kUpper_m, kThird_m});
+    EXPECT_EQ(drive.candidates(), 3u);
+    EXPECT_EQ(drive.Instead_m(3), std::nullopt);
+    return drive;
   };
-  using Ids = std::set<std::uint64_t>;
-  EXPECT_EQ(reported(std::nullopt, 400.0, 100.0), Ids({1, 2, 3}));  // heard in space
-  EXPECT_EQ(reported(ArrayPlane(), 400.0, 100.0), Ids({1, 3}));
-  EXPECT_EQ(reported(ArrayPlane(), 100.0, 400.0), Ids({2, 3}));
+  const WallDrive lower = drive(ArrayPlane(), 400.0, 100.0);
+  EXPECT_EQ(lower.Reported(), Ids({1, 3}));
+  EXPECT_EQ(lower.Instead_m(1), kUpper_m);
+  EXPECT_EQ(lower.Instead_m(2), std::nullopt);
+  const WallDrive upper = drive(ArrayPlane(), 100.0, 400.0);
+  EXPECT_EQ(upper.Reported(), Ids({2, 3}));
+  EXPECT_EQ(upper.Instead_m(2), kLower_m);
+  EXPECT_EQ(upper.Instead_m(1), std::nullopt);
   ArrayPlane upright;  // mirrors elsewhere
   upright.normal_in_map = Eigen::Vector3d::UnitX();
-  EXPECT_EQ(reported(upright, 400.0, 100.0), Ids({1, 2, 3}));
+  for (const std::optional<ArrayPlane>& plane : {std::optional<ArrayPlane>(), {upright}}) {
+    const WallDrive both = drive(plane, 400.0, 100.0);
+    EXPECT_EQ(both.Reported(), Ids({1, 2, 3}));
+    EXPECT_EQ(both.Instead_m(1), std::nullopt);
+    EXPECT_EQ(both.Instead_m(2), std::nullopt);
+  }
+}
+
+// What was ambiguous, until something tells the two places apart.
+TEST(SourceRegister, AnAmbiguityGoesWhenThePlacesAreToldApart) {
+  const SoundSource lower = OnWall(1, kLower_m, 400.0);
+  const SoundSource upper = OnWall(2, kUpper_m, 100.0, 0.4);
+  WallDrive ambiguous({lower, upper});
+  ambiguous.Drive(80, ArrayPlane(), {kLower_m, kUpper_m});
+  ASSERT_EQ(ambiguous.Instead_m(1), kUpper_m);
+  {
+    WallDrive in_space = ambiguous;
+    in_space.Drive(79, std::nullopt, {kLower_m});
+    EXPECT_EQ(in_space.Instead_m(1), kUpper_m);
+    in_space.Drive(2, std::nullopt, {kLower_m});
+    EXPECT_EQ(in_space.Instead_m(1), std::nullopt);
+    EXPECT_EQ(in_space.Reported(), Ids({1}));
+  }
+  {
+    // From another height the image is elsewhere.
+    WallDrive higher = ambiguous;
+    higher.Drive(81, ArrayPlane(), {kLower_m}, /*array_m=*/1.8);
+    EXPECT_EQ(higher.Instead_m(1), std::nullopt);
+    EXPECT_EQ(higher.Reported(), Ids({1}));
+  }
+  {
+    WallDrive both = ambiguous;  // are sources
+    both.Drive(81, std::nullopt, {kLower_m, kUpper_m});
+    EXPECT_EQ(both.Instead_m(1), std::nullopt);
+    EXPECT_EQ(both.Reported(), Ids({1, 2}));
+  }
+  {
+    WallDrive vanished = ambiguous;
+    vanished.Find({lower});
+    EXPECT_EQ(vanished.candidates(), 1u);
+    EXPECT_EQ(vanished.Instead_m(1), std::nullopt);
+  }
+  {
+    // The array in space came first.
+    WallDrive known({lower, upper});
+    known.Drive(81, std::nullopt, {kLower_m});
+    known.Drive(80, ArrayPlane(), {kLower_m, kUpper_m});
+    EXPECT_EQ(known.Instead_m(1), std::nullopt);
+    EXPECT_EQ(known.Reported(), Ids({1}));
+  }
+}
+
+TEST(SourceRegister, AnAmbiguityOutlivesSilenceAndRestarts) {
+  const SoundSource lower = OnWall(1, kLower_m, 400.0);
+  WallDrive drive({lower, OnWall(2, kUpper_m, 100.0, 0.4)});
+  for (int i = 0; i < 4; ++i) drive.Drive(80, ArrayPlane(), {kLower_m, kUpper_m});
+  drive.Drive(240, ArrayPlane(), {});
+  ASSERT_EQ(drive.events().size(), 1u);
+  EXPECT_EQ(drive.events()[0].kind, Kind::kFellSilent);
+  ASSERT_TRUE(drive.events()[0].source.mirror_in_map_m);
+  EXPECT_EQ(drive.events()[0].source.mirror_in_map_m->z(), kUpper_m);
+  drive.Find({});  // the voxels have been unlearnt
+  EXPECT_EQ(drive.Reported(), Ids({1}));
+  EXPECT_EQ(drive.Instead_m(1), kUpper_m);
+
+  SourceRegister restored(DefaultConfig());
+  restored.Restore(drive.sources().state());
+  EXPECT_EQ(restored.Sources(), drive.sources().Sources());
+
+  // It sounds again, and this time the other place is not heard.
+  drive.Find({lower});
+  drive.Drive(80, ArrayPlane(), {kLower_m});
+  drive.Find({lower});
+  EXPECT_EQ(drive.Reported(), Ids({1}));
+  EXPECT_EQ(drive.Instead_m(1), std::nullopt);
+  EXPECT_EQ(drive.candidates(), 1u);
+}
+
+// One was heard first and is silent, what sounds now is heard where its image was.
+TEST(SourceRegister, WhatIsReportedItselfIsNotToldAsAnImage) {
+  const SoundSource lower = OnWall(1, kLower_m, 400.0);
+  WallDrive drive({lower, OnWall(2, kUpper_m, 100.0, 0.4)});
+  for (int i = 0; i < 4; ++i) drive.Drive(80, ArrayPlane(), {kLower_m, kUpper_m});
+  drive.Drive(240, ArrayPlane(), {});
+  drive.Find({lower, OnWall(2, kUpper_m, 1000.0)});
+  drive.Drive(80, ArrayPlane(), {kUpper_m});
+  EXPECT_EQ(drive.Reported(), Ids({1, 2}));
+  EXPECT_EQ(drive.Instead_m(2), std::nullopt);
+}
+
+// The image is not a second source while the source that rules it out becomes part of another one.
+TEST(SourceRegister, AnImageStaysOneWhenItsSourceIsMerged) {
+  const SoundSource upper = OnWall(2, kUpper_m, 100.0, 0.4);
+  WallDrive drive({OnWall(1, kLower_m, 400.0), upper});
+  drive.Drive(80, ArrayPlane(), {kLower_m, kUpper_m});
+  SoundSource beside = OnWall(5, kLower_m - 0.3, 500.0);
+  beside.first_heard_ns = 50;  // so that its name stays
+  drive.Find({OnWall(1, kLower_m, 400.0), upper, beside});
+  drive.Find({upper, beside});
+  EXPECT_EQ(drive.Reported(), Ids({5}));
+  EXPECT_EQ(drive.candidates(), 2u);
 }
 
 // A share of the views that stays the same does not become certainty.

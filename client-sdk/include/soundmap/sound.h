@@ -50,6 +50,8 @@ struct SoundSource {
   // At 1 m; 0 dB is a full-scale square wave at the microphones.
   std::optional<double> level_db;
   std::vector<OctaveBandLevel> spectrum;  // of bands that were measured and where it stands out
+  // Where it may be instead: the arrays that heard it cannot tell above from below.
+  std::optional<Vector3> mirror_in_map_m;
 };
 
 // What happened to a source, beside the changes of its fields.
