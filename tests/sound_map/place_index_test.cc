@@ -36,7 +36,7 @@ TEST(PlaceIndex, FindsTheNearestPlaceWithinTheRadius) {
         }
       }
       ASSERT_EQ(index.Nearest(key), nearest);
-      if (nearest) ASSERT_TRUE(index.MayBeNear(key));
+      ASSERT_TRUE(!nearest || index.MayBeNear(key));
       ++(nearest ? found : none);
     }
   }
