@@ -6,6 +6,7 @@
 #include <cmath>
 #include <complex>
 #include <random>
+#include <utility>
 
 #include "geometry/angles.h"
 #include "tests/acoustics/plane_waves.h"
@@ -169,7 +170,10 @@ TEST(Polarity, ANodeOfAHumIsNoInversion) {
   const FrameLayout layout = Layout();
   const Microphones array = {{0.1, 0, 0},      {0.0, 0.1, 0}, {0, -0.1, 0},      {0.05, 0.05, 0.1},
                              {0.05, -0.05, 0}, {-0.1, 0, 0},  {-0.1, 0.05, 0.05}};
-  for (const double hum_hz : {120.0, 150.0, 290.0, 333.0, 500.0}) {
+  const std::pair<double, double> hums[] = {{120.0, 8000.0}, {150.0, 8000.0}, {290.0, 8000.0},
+                                            {500.0, 8000.0}, {150.0, 200.0},  {200.0, 200.0},
+                                            {333.0, 200.0},  {333.0, 20.0}};
+  for (const auto [hum_hz, amplitude] : hums) {
     const double wave_number = 2.0 * geometry::kPi * hum_hz / testing::kSpeedOfSound_mps;
     std::mt19937_64 random(4);
     std::normal_distribution<double> noise(0.0, 1.0);
@@ -181,14 +185,15 @@ TEST(Polarity, ANodeOfAHumIsNoInversion) {
         const double time_s =
             static_cast<double>(scan * layout.scan_period_samples() + s) / kRate_hz;
         for (const Eigen::Vector3d& mic_m : array) {
-          const double pressure = 8000.0 * std::sin(2.0 * geometry::kPi * hum_hz * time_s) *
+          const double pressure = amplitude * std::sin(2.0 * geometry::kPi * hum_hz * time_s) *
                                   std::sin(wave_number * (mic_m.x() + 0.05));
           samples.push_back(static_cast<std::int16_t>(std::lround(pressure + noise(random))));
         }
       }
       stft.Analyze(samples);
       polarity.Add(stft.newest_frame(), {});
-      ASSERT_TRUE(polarity.inverted().empty()) << hum_hz << " Hz, scan " << scan;
+      ASSERT_TRUE(polarity.inverted().empty())
+          << hum_hz << " Hz of " << amplitude << ", scan " << scan;
     }
   }
 }
@@ -227,6 +232,12 @@ TEST(Polarity, WhereTheSmallerGroupIsNotKnownItSaysNothing) {
   EXPECT_EQ(said(four, {0, 1}), none);
   EXPECT_EQ(said(four, {0, 1, 3}), std::vector<int>{2});  // the sign of all is no matter
   EXPECT_EQ(said({{0.1, 0, 0}, {-0.1, 0, 0}}, {1}), none);
+  // Two that differ, beside two that hear nothing.
+  Field field(four, 10, 0.1, 6);
+  field.gain = {1.0, 0.0, -1.0, 0.0};
+  Polarity polarity = MakePolarity(four);
+  Listen(polarity, field, 20.0);
+  EXPECT_EQ(polarity.inverted(), none);
   // A pair that is far from the others: nobody tells which of the two it is.
   EXPECT_EQ(said({{0, 0, 0}, {0.1, 0, 0}, {0, 0.1, 0}, {3, 0, 0}, {3.1, 0, 0}}, {3}), none);
   // Neighbours are too far apart.
