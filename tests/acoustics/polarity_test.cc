@@ -173,7 +173,7 @@ TEST(Polarity, ANodeOfAHumIsNoInversion) {
   const std::pair<double, double> hums[] = {{120.0, 8000.0}, {150.0, 8000.0}, {290.0, 8000.0},
                                             {500.0, 8000.0}, {150.0, 200.0},  {200.0, 200.0},
                                             {333.0, 200.0},  {333.0, 20.0}};
-  for (const auto [hum_hz, amplitude] : hums) {
+  for (const auto& [hum_hz, amplitude] : hums) {
     const double wave_number = 2.0 * geometry::kPi * hum_hz / testing::kSpeedOfSound_mps;
     std::mt19937_64 random(4);
     std::normal_distribution<double> noise(0.0, 1.0);
