@@ -30,8 +30,8 @@ class Field {
  public:
   Field(const Microphones& mic_in_array_m, int waves, double noise_rms, std::uint64_t seed,
         bool still = false)
-      : mic_in_array_m_(mic_in_array_m),
-        gain(mic_in_array_m.size(), 1.0),
+      : gain(mic_in_array_m.size(), 1.0),
+        mic_in_array_m_(mic_in_array_m),
         noise_rms_(noise_rms),
         still_(still),
         seed_(seed),
@@ -80,6 +80,8 @@ class Field {
     return {rows_.data(), static_cast<std::ptrdiff_t>(stride)};
   }
 
+  std::vector<double> gain;  // of each microphone
+
  private:
   void Add(std::size_t at, std::complex<double> value) {
     rows_[at] += static_cast<float>(value.real());
@@ -88,11 +90,6 @@ class Field {
 
   Microphones mic_in_array_m_;
   std::vector<Eigen::Vector3d> directions_;
-
- public:
-  std::vector<double> gain;
-
- private:
   double noise_rms_;
   bool still_;
   std::uint64_t seed_;
