@@ -71,8 +71,8 @@ class Site : public std::enable_shared_from_this<Site> {
   // How long the frames of a listening drive are kept from when it was begun, once they have had
   // their effect; 0: for ever. InvalidArgument: negative, or longer than 1000 years.
   absl::Status KeepFrames(std::int64_t seconds);
-  // Removes the frames that are older, of a bounded number of drives at a time. Those that something
-  // reads, or that cannot be removed, are tried again with the next call.
+  // Removes the frames that are older, of a bounded number of drives at a time. Those that
+  // something reads, or that cannot be removed, are tried again with the next call.
   void DropOldFrames(std::int64_t now_ns);
 
   // Null while there is none.
