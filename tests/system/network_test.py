@@ -14,9 +14,12 @@ import time
 import unittest
 import urllib.request
 
-from programs import DRIVES, ProgramTest, random_moments, start, start_pose
+from programs import BIN, DRIVES, ProgramTest, random_moments, start, start_pose
 
 SHORT = DRIVES / "short.mcap"
+# Drives that the link is cut for are as long as is asked for, and so is the wait for what they give.
+CUT_MINUTES = float(os.environ.get("SOUNDMAP_CUT_MINUTES", 0))
+TIMEOUT_S = 300 + 60 * CUT_MINUTES
 
 
 class Link:
@@ -157,7 +160,7 @@ dir = "{self.folder / 'spool'}"
         self.make_site(server)
         agent = start(server, "soundmap-robot", "run", "--config",
                       self.config(drive, server.address, speed=0, uplink="live = false"))
-        self.assertEqual(agent.wait(timeout=120), 0, agent.stderr.read())
+        self.assertEqual(agent.wait(timeout=TIMEOUT_S), 0, agent.stderr.read())
         agent.communicate()
         results = self.sources_json(server), self.full_map(server), self.processed(server)
         server.kill()
@@ -247,7 +250,7 @@ dir = "{self.folder / 'spool'}"
 
     def finish_like(self, undisturbed, server, agent):
         """The agent delivers all, and the map is the undisturbed one."""
-        self.assertEqual(agent.wait(timeout=300), 0, agent.stderr.read())
+        self.assertEqual(agent.wait(timeout=TIMEOUT_S), 0, agent.stderr.read())
         agent.communicate()
         self.assertEqual((self.sources_json(server), self.full_map(server), self.processed(server)), undisturbed)
 
@@ -258,7 +261,7 @@ dir = "{self.folder / 'spool'}"
         self.make_site(server)
         return server
 
-    def test_slow_silent_and_long_cut_links_lose_nothing(self):
+    def test_slow_and_silent_links_lose_nothing(self):
         undisturbed = self.undisturbed(SHORT)
         frames = undisturbed[2]
 
@@ -281,26 +284,36 @@ dir = "{self.folder / 'spool'}"
             self.assertLess(stopped_at, frames)
             server.kill()
 
-        with self.subTest("cut for most of the drive"):
-            server = self.afresh("cut")
-            link = self.link_to(server)
-            agent = start(server, "soundmap-robot", "run", "--config", self.config(SHORT, link.address, speed=4))
-            while self.processed(server) < 0.1 * frames:
-                self.assertIsNone(agent.poll())
-            link.down()
-            while not any(session["ended"] for session in self.spooled()):
-                self.assertIsNone(agent.poll())
-            (session,) = self.spooled()
-            link.up()
-            back = time.monotonic()
-            while self.durable(server) < session["recorded"] and agent.poll() is None:
-                pass
-            drained_s = time.monotonic() - back
-            self.finish_like(undisturbed, server, agent)
-            (drive,) = self.session_list(server)
-            backlog_s = session["waiting"] / frames * (drive["last_frame_time_ns"] - drive["first_frame_time_ns"]) * 1e-9
-            print(f"a backlog of {backlog_s:.1f} s was durable after {drained_s:.1f} s and in the map after {time.monotonic() - back:.1f} s",
-                  file=sys.stderr)
+    def test_a_link_that_is_cut_for_most_of_a_drive(self):
+        drive, at_speed = SHORT, 4
+        if CUT_MINUTES:
+            # As fast as the disk takes it: what the robot drives meanwhile lies in its spool.
+            drive, at_speed = self.folder / "long.mcap", 0
+            subprocess.run([BIN / "soundmap-robot", "simulate", "grill_room", "--seconds", str(round(60 * CUT_MINUTES)), "--out", drive],
+                           check=True, stdout=subprocess.DEVNULL)
+        undisturbed = self.undisturbed(drive)
+        frames = undisturbed[2]
+        server = self.afresh("cut")
+        link = self.link_to(server)
+        agent = start(server, "soundmap-robot", "run", "--config", self.config(drive, link.address, speed=at_speed))
+        while self.processed(server) < min(1000, 0.1 * frames):
+            self.assertIsNone(agent.poll())
+        link.down()
+        while not any(session["ended"] for session in self.spooled()):
+            self.assertIsNone(agent.poll())
+        (session,) = self.spooled()
+        link.up()
+        back = time.monotonic()
+        while self.durable(server) < session["recorded"] and agent.poll() is None:
+            pass
+        drained_s = time.monotonic() - back
+        self.finish_like(undisturbed, server, agent)
+        in_map_s = time.monotonic() - back
+        (result,) = self.session_list(server)
+        backlog_s = session["waiting"] / frames * (result["last_frame_time_ns"] - result["first_frame_time_ns"]) * 1e-9
+        print(f"a backlog of {backlog_s:.1f} s was durable after {drained_s:.1f} s and in the map after {in_map_s:.1f} s", file=sys.stderr)
+        if CUT_MINUTES:
+            self.assertLess(4 * in_map_s, backlog_s)
 
     def test_a_link_that_loses_every_fifth_packet(self):
         libc = ctypes.CDLL(None, use_errno=True)

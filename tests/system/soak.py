@@ -68,6 +68,14 @@ def growth_per_minute(samples, field):
     return (last - middle) / (samples[-1]["time_s"] / 60 / 3)
 
 
+def sync_s(file):
+    """How long the disk takes for one sync beside what the server asks of it: the lag of what it calls durable is made of such."""
+    begin = time.monotonic()
+    os.pwrite(file.fileno(), b"x" * 4096, 0)
+    os.fdatasync(file.fileno())
+    return time.monotonic() - begin
+
+
 def plot(samples, path):
     import matplotlib  # of Debian's packages, as the first line's interpreter is
     matplotlib.use("svg")
@@ -129,14 +137,16 @@ class Soak:
         samples = []
         begin = time.monotonic()
         before, last = self.metrics(server), begin
+        file = (self.given.work / "synced").open("wb")
         while time.monotonic() - begin < 60 * minutes and not self.troubles:
             time.sleep(1)
+            disk_s = sync_s(file)
             values, now = self.metrics(server), time.monotonic()
             samples.append({"time_s": now - begin, "memory_mb": values["process_resident_memory_bytes"] / 1e6,
                             "in_flight_mb": values["soundmap_in_flight_bytes"] / 1e6,
                             "backlog_frames": values["soundmap_backlog_frames"],
                             "cores": (values["process_cpu_seconds_total"] - before["process_cpu_seconds_total"]) / (now - last),
-                            "streams": values["soundmap_streams"], "watches": values["soundmap_watches"]})
+                            "streams": values["soundmap_streams"], "watches": values["soundmap_watches"], "disk_sync_s": disk_s})
             before, last = values, now
         return samples
 
@@ -198,6 +208,7 @@ class Soak:
         if lost:
             self.troubles.append(f"durable frames of {lost} are gone")
         memory = [sample["memory_mb"] for sample in samples]
+        syncs = sorted(sample["disk_sync_s"] for sample in samples)
         crowded_mb = crowded["process_resident_memory_bytes"] / 1e6
         if given.max_growth_mb is not None and max(memory) - crowded_mb > given.max_growth_mb:
             self.troubles.append(f"the memory of the server grew by {max(memory) - crowded_mb:.0f} MB")
@@ -216,6 +227,7 @@ class Soak:
             "received_mb": (end["soundmap_received_bytes_total"] - crowded["soundmap_received_bytes_total"]) / 1e6,
             "share_of_real_time": driven_s / (given.robots * wall_s),
             "durable_lag_s": {"p50": lag_quantile(lags, 0.5), "p99": lag_quantile(lags, 0.99), "frames": max(lags.values())},
+            "disk_sync_s": {"p50": statistics.median(syncs), "p99": syncs[int(0.99 * len(syncs))]},
             # From when the robot had the frame until it knew that it may forget it.
             "forget_after_s": {name: counted[2][f"{name}_s"] for name in ("p50", "p99", "most")},
             "without_credit_s": counted[2]["throttled_s"],
