@@ -82,7 +82,7 @@ void serialize(Archive& archive, std::optional<Value>& optional, unsigned) {
   if (!present) {
     optional.reset();
   } else {
-    if (!optional) optional.emplace();
+    if (!optional) optional = Value();
     archive&* optional;
   }
 }

@@ -251,6 +251,7 @@ void RunRobot(const std::string& server, const Drive& drive, int index, Tally& t
     v1::Session session;
     grpc::ClientContext context;
     context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(60));
+    context.set_wait_for_ready(true);  // a robot's program connects again, too
     const grpc::Status made = sessions->CreateSession(&context, request, &session);
     if (!made.ok()) return tally.stop ? void() : tally.Fail(made.error_message());
     uplink::IngestStream stream(*ingest, std::make_unique<grpc::ClientContext>());
