@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <boost/asio/thread_pool.hpp>
+#include <csignal>
 
 #include "absl/strings/escaping.h"
 #include "api/token_file.h"
@@ -34,6 +35,11 @@ class Gateway {
             .value();
     const std::string& address = gateway_->address();
     port_ = static_cast<std::uint16_t>(std::stoi(address.substr(address.rfind(':') + 1)));
+    // libFuzzer's alarm would interrupt what Ask() waits for; the gateway's thread takes it.
+    sigset_t alarm;
+    ::sigemptyset(&alarm);
+    ::sigaddset(&alarm, SIGALRM);
+    Require(::pthread_sigmask(SIG_BLOCK, &alarm, nullptr) == 0);
   }
 
   // What a connection gets that sends these bytes and closes its side.
