@@ -14,7 +14,8 @@ import pathlib
 import re
 import sys
 
-ALLOWED_LOSS = 0.25  # of a ratio: what a change of machine or a noisy neighbour may cost
+ALLOWED_LOSS = 0.25  # of a ratio: what a noisy neighbour may cost
+ALLOWED_ELSEWHERE = 0.5  # on a processor with other caches: what fits into them differs from method to method
 # Groups that are plotted, see plot.py: growth_WHAT, or CURVE_by_WHAT.
 GROWTH = re.compile(r"(?:growth|(?P<curve>\w+)_by)_(?P<what>\w+)/(?P<number>\d+)")
 NOT_COUNTERS = {
