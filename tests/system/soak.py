@@ -15,6 +15,7 @@ import shutil
 import statistics
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import urllib.request
@@ -69,9 +70,9 @@ def growth_per_minute(samples, field):
 
 
 def sync_s(file):
-    """How long the disk takes for one sync beside what the server asks of it: the lag of what it calls durable is made of such."""
+    """How long the disk takes to sync a file that grew, beside what the server asks of it: the lag of what it calls durable is made of such."""
     begin = time.monotonic()
-    os.pwrite(file.fileno(), b"x" * 4096, 0)
+    file.write(b"x" * 4096)
     os.fdatasync(file.fileno())
     return time.monotonic() - begin
 
@@ -137,17 +138,17 @@ class Soak:
         samples = []
         begin = time.monotonic()
         before, last = self.metrics(server), begin
-        file = (self.given.work / "synced").open("wb")
-        while time.monotonic() - begin < 60 * minutes and not self.troubles:
-            time.sleep(1)
-            disk_s = sync_s(file)
-            values, now = self.metrics(server), time.monotonic()
-            samples.append({"time_s": now - begin, "memory_mb": values["process_resident_memory_bytes"] / 1e6,
-                            "in_flight_mb": values["soundmap_in_flight_bytes"] / 1e6,
-                            "backlog_frames": values["soundmap_backlog_frames"],
-                            "cores": (values["process_cpu_seconds_total"] - before["process_cpu_seconds_total"]) / (now - last),
-                            "streams": values["soundmap_streams"], "watches": values["soundmap_watches"], "disk_sync_s": disk_s})
-            before, last = values, now
+        with tempfile.TemporaryFile(dir=self.given.work, buffering=0) as file:
+            while time.monotonic() - begin < 60 * minutes and not self.troubles:
+                time.sleep(1)
+                disk_s = sync_s(file)
+                values, now = self.metrics(server), time.monotonic()
+                samples.append({"time_s": now - begin, "memory_mb": values["process_resident_memory_bytes"] / 1e6,
+                                "in_flight_mb": values["soundmap_in_flight_bytes"] / 1e6,
+                                "backlog_frames": values["soundmap_backlog_frames"],
+                                "cores": (values["process_cpu_seconds_total"] - before["process_cpu_seconds_total"]) / (now - last),
+                                "streams": values["soundmap_streams"], "watches": values["soundmap_watches"], "disk_sync_s": disk_s})
+                before, last = values, now
         return samples
 
     def await_caught_up(self, server):
