@@ -181,6 +181,11 @@ void AddReplay(CLI::App& app, ReplayCommand& command) {
                    "Seconds between two beams of the LRF; 0: a scan is instantaneous")
       ->check(CLI::Range(0.0, 1.0));
   replay
+      ->add_option("--full-scale-spl", command.session.full_scale_spl_db,
+                   "Sound pressure level (dB re 20 uPa) of the sine that just reaches full scale "
+                   "at the microphones; with it sources have absolute levels")
+      ->check(CLI::Range(60.0, 200.0));
+  replay
       ->add_option("--lidar-resolution", command.lidar_resolution_m,
                    "Metres on whose multiples LIDAR points are put, so that they travel short; 0: "
                    "they stay as they are")

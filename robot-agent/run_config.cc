@@ -102,6 +102,9 @@ absl::StatusOr<RunConfig> RunConfig::Read(const std::string& path) {
   keys.OneOf("robot", "purpose", {"listening", "mapping"}, config.session.purpose);
   keys.Number("robot", "laser_time_increment_s", 0.0, 1.0, config.session.laser_time_increment_s);
   const double nan = std::nan("");
+  double full_scale_spl_db = nan;
+  keys.Number("robot", "full_scale_spl_db", 60.0, 200.0, full_scale_spl_db);
+  if (!std::isnan(full_scale_spl_db)) config.session.full_scale_spl_db = full_scale_spl_db;
   double pose[3] = {nan, nan, nan};
   keys.Number("robot", "initial_x_m", -1e6, 1e6, pose[0]);
   keys.Number("robot", "initial_y_m", -1e6, 1e6, pose[1]);

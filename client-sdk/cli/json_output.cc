@@ -234,10 +234,13 @@ Json ToJson(const SoundSource& source) {
     }
   }
   if (source.level_db) json["level_db"] = *source.level_db;
+  if (source.spl_db) json["spl_db"] = *source.spl_db;
   if (!source.spectrum.empty()) {
     Json& spectrum = json["spectrum"] = Json::array();
     for (const OctaveBandLevel& band : source.spectrum) {
-      spectrum.push_back({{"centre_hz", band.centre_hz}, {"level_db", band.level_db}});
+      Json level = {{"centre_hz", band.centre_hz}, {"level_db", band.level_db}};
+      if (band.spl_db) level["spl_db"] = *band.spl_db;
+      spectrum.push_back(std::move(level));
     }
   }
   if (source.mirror_in_map_m) json["mirror_position_m"] = ToJson(*source.mirror_in_map_m);

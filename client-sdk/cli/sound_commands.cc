@@ -51,6 +51,7 @@ absl::Status Sources(Client& client, const SourcesArguments& arguments) {
                {"PROBABILITY", kRight},
                {"STATE"},
                {"LEVEL [dB]", kRight},
+               {"SPL [dB]", kRight},
                {"VIEWS", kRight},
                {"EVIDENCE", kRight},
                {"FIRST HEARD"},
@@ -60,6 +61,7 @@ absl::Status Sources(Client& client, const SourcesArguments& arguments) {
     table.Add({source.id, Fixed(p.x, 2), Fixed(p.y, 2), Fixed(p.z, 2), Fixed(source.extent_m, 2),
                Fixed(source.probability, 3), NameOf(source.state),
                source.level_db ? Fixed(*source.level_db, 1) : "-",
+               source.spl_db ? Fixed(*source.spl_db, 1) : "-",
                absl::StrCat(source.view_point_count), absl::StrCat(source.evidence_count),
                FormatTime(source.first_heard_ns), FormatTime(source.last_heard_ns)});
   }

@@ -246,8 +246,12 @@ SoundSource FromProto(const v1::SoundSource& wire) {
     source.heard_periods.push_back({period.start_ns(), period.end_ns()});
   }
   if (wire.has_level_db()) source.level_db = wire.level_db();
+  if (wire.has_spl_db()) source.spl_db = wire.spl_db();
   for (const auto& band : wire.spectrum()) {
-    source.spectrum.push_back({band.centre_hz(), band.level_db()});
+    OctaveBandLevel& level = source.spectrum.emplace_back();
+    level.centre_hz = band.centre_hz();
+    level.level_db = band.level_db();
+    if (band.has_spl_db()) level.spl_db = band.spl_db();
   }
   if (wire.has_mirror_position_m()) source.mirror_in_map_m = FromProto(wire.mirror_position_m());
   return source;

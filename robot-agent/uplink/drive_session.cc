@@ -40,6 +40,7 @@ v1::CreateSessionRequest SessionRequest(const DriveSession& session,
   }
   calibration.set_laser_time_increment_s(session.laser_time_increment_s);
   calibration.set_audio_sample_rate_hz(replay.survey().audio_sample_rate_hz);
+  if (session.full_scale_spl_db) calibration.set_full_scale_spl_db(*session.full_scale_spl_db);
   if (!session.initial_pose.empty()) {
     request.mutable_initial_pose()->set_x_m(session.initial_pose[0]);
     request.mutable_initial_pose()->set_y_m(session.initial_pose[1]);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,8 @@ struct DriveSession {
   std::string purpose = "listening";  // or "mapping"
   std::vector<double> initial_pose;   // x_m, y_m, yaw_rad in the map; empty: unknown
   double laser_time_increment_s = 0.0;
+  // Of the sine that just reaches full scale at the microphones, re 20 uPa; none: not known.
+  std::optional<double> full_scale_spl_db;
 };
 
 // The session that a recorded drive makes: the same drive, the same session.

@@ -85,6 +85,9 @@ v1::Calibration ToProto(const frames::Calibration& calibration) {
     Set(proto.add_mic_in_array_m(), mic);
   proto.set_laser_time_increment_s(calibration.laser_time_increment_s);
   proto.set_audio_sample_rate_hz(calibration.audio_sample_rate_hz);
+  if (calibration.full_scale_spl_db) {
+    proto.set_full_scale_spl_db(*calibration.full_scale_spl_db);
+  }
   return proto;
 }
 
@@ -203,13 +206,16 @@ v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSour
   proto.set_view_point_count(static_cast<std::int64_t>(registered.view_points.size()));
   for (const std::string& robot : registered.robots) proto.add_robots(RobotResource(robot));
   proto.set_last_listened_ns(registered.last_listened_ns);
-  if (const auto level_db = registered.Level_db()) proto.set_level_db(*level_db);
-  const auto spectrum_db = registered.Spectrum_db();
+  const sound_map::Spectrum spectrum_db = registered.Spectrum_db();
+  const sound_map::Spectrum spectrum_spl_db = registered.SpectrumSpl_db();
+  if (const auto level_db = sound_map::TotalLevel_db(spectrum_db)) proto.set_level_db(*level_db);
+  if (const auto spl_db = sound_map::TotalLevel_db(spectrum_spl_db)) proto.set_spl_db(*spl_db);
   for (int band = 0; band < frames::kOctaveBands; ++band) {
     if (!spectrum_db[band]) continue;
     v1::OctaveBandLevel* level = proto.add_spectrum();
     level->set_centre_hz(frames::OctaveCentre_hz(band));
     level->set_level_db(*spectrum_db[band]);
+    if (spectrum_spl_db[band]) level->set_spl_db(*spectrum_spl_db[band]);
   }
   if (registered.mirror_in_map_m) {
     Set(proto.mutable_mirror_position_m(), *registered.mirror_in_map_m);
@@ -310,6 +316,7 @@ absl::StatusOr<frames::Calibration> FromProto(const v1::Calibration& proto) {
   }
   calibration.laser_time_increment_s = proto.laser_time_increment_s();
   calibration.audio_sample_rate_hz = proto.audio_sample_rate_hz();
+  if (proto.has_full_scale_spl_db()) calibration.full_scale_spl_db = proto.full_scale_spl_db();
   const absl::Status valid = calibration.Validate();
   if (!valid.ok()) return valid;
   return calibration;

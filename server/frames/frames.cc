@@ -17,6 +17,10 @@ absl::Status Calibration::Validate() const {
     return absl::InvalidArgumentError(
         "the calibration's laser_time_increment_s must be from 0 to 1 second");
   }
+  if (full_scale_spl_db && !(*full_scale_spl_db >= 60.0 && *full_scale_spl_db <= 200.0)) {
+    return absl::InvalidArgumentError(
+        "the calibration's full_scale_spl_db must be from 60 to 200 dB");
+  }
   const int microphones = static_cast<int>(mic_in_array_m.size());
   if (microphones == 0) return absl::OkStatus();
   if (microphones < 2 || microphones > 64) {

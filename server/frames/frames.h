@@ -65,9 +65,13 @@ struct Calibration {
       mic_in_array_m;                   // in channel order; empty: the robot has no microphones
   double laser_time_increment_s = 0.0;  // 0: a laser scan is instantaneous
   int audio_sample_rate_hz = 0;         // 0: no audio
+  // Sound pressure level (re 20 uPa) of the sine that just reaches full scale at the microphones;
+  // none: not known.
+  std::optional<double> full_scale_spl_db;
 
   // InvalidArgument: a number that is not finite, 1 or more than 64 microphones, two at one place,
-  // a sample rate outside 8 .. 192 kHz where there are microphones.
+  // a sample rate outside 8 .. 192 kHz where there are microphones, a full scale outside 60 .. 200
+  // dB.
   absl::Status Validate() const;
 };
 

@@ -19,7 +19,8 @@ constexpr int OctaveBandsAt(int sample_rate_hz) {
   return bands;
 }
 
-// Mean square of the sound in each band, beside that of a full-scale square wave.
+// Mean square of the sound in each band, beside that of a full-scale square wave, which is twice
+// that of a full-scale sine.
 using BandPowers = std::array<float, kOctaveBands>;
 
 }  // namespace soundmap::frames

@@ -31,7 +31,8 @@ void serialize(Archive& archive, soundmap::sound_map::ArrayPlane& plane, unsigne
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::sound_map::ViewPoint& view_point, unsigned) {
-  archive& view_point.place_in_map_m& view_point.level_scans& view_point.power_at_1m;
+  archive& view_point.place_in_map_m& view_point.level_scans& view_point.power_at_1m& view_point
+      .spl_scans& view_point.squared_pressure_at_1m;
 }
 
 template <class Archive>
@@ -64,9 +65,10 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& sta
 namespace soundmap::pipeline {
 namespace {
 
-constexpr std::uint32_t kSourceRegisterVersion = 2;
+constexpr std::uint32_t kSourceRegisterVersion = 3;
 // Entries from before levels were measured have none, and begin with the length of a name.
-constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0003;
+constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0004;
+constexpr std::uint64_t kAudioScanVersionWithoutFullScale = 0xffff'ffff'0000'0003;
 constexpr std::uint64_t kAudioScanVersionWithoutPlane = 0xffff'ffff'0000'0002;
 
 }  // namespace
@@ -76,7 +78,8 @@ std::string EncodePose(const localization::PoseEstimate& pose) { return ToBytes(
 std::string EncodeAudioScan(const AudioScanInfo& scan) {
   const sound_map::ArrayPlane plane = scan.array_plane.value_or(sound_map::ArrayPlane());
   return ToBytes(kAudioScanVersion, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
-                 scan.end_points, scan.heard, scan.array_plane.has_value(), plane);
+                 scan.end_points, scan.heard, scan.array_plane.has_value(), plane,
+                 scan.full_scale_spl_db.has_value(), scan.full_scale_spl_db.value_or(0.0));
 }
 
 std::string EncodeSourceRegister(const sound_map::SourceRegister::State& state) {
@@ -97,7 +100,13 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   AudioScanInfo scan;
   bool has_plane = false;
   sound_map::ArrayPlane plane;
+  bool has_full_scale = false;
+  double full_scale_spl_db = 0.0;
   if (version == kAudioScanVersion) {
+    status =
+        FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                  scan.end_points, scan.heard, has_plane, plane, has_full_scale, full_scale_spl_db);
+  } else if (version == kAudioScanVersionWithoutFullScale) {
     status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                        scan.end_points, scan.heard, has_plane, plane);
   } else if (version == kAudioScanVersionWithoutPlane) {
@@ -108,6 +117,7 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   }
   if (!status.ok()) return status;
   if (has_plane) scan.array_plane = plane;
+  if (has_full_scale) scan.full_scale_spl_db = full_scale_spl_db;
   return scan;
 }
 

@@ -28,6 +28,7 @@ struct AudioScanInfo {
   std::int64_t end_points = 0;
   std::vector<sound_map::HeardPeak> heard;
   std::optional<sound_map::ArrayPlane> array_plane;
+  std::optional<double> full_scale_spl_db;  // of the microphones, see frames::Calibration
 };
 
 // A robot that has had a session here, or reports live.

@@ -466,8 +466,8 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   if (const auto normal = scanner->array_normal()) {
     array_plane = {map_from_array.translation(), map_from_array.linear() * *normal};
   }
-  output.scans.push_back(
-      {std::move(scan), *pose, *std::move(evidence), std::move(heard), array_plane});
+  output.scans.push_back({std::move(scan), *pose, *std::move(evidence), std::move(heard),
+                          array_plane, calibration.full_scale_spl_db});
 }
 
 std::vector<std::string> Listening::Warnings() const {

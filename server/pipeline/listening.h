@@ -33,6 +33,7 @@ class Listening {
     sound_map::EvidenceScan evidence;
     std::vector<sound_map::HeardPeak> heard;
     std::optional<sound_map::ArrayPlane> array_plane;
+    std::optional<double> full_scale_spl_db;
   };
   // What some frames led to.
   struct Output {

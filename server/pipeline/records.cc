@@ -38,12 +38,14 @@ Json JsonFrom(const frames::Calibration& calibration) {
   Json microphones = Json::array();
   for (const Eigen::Vector3d& mic : calibration.mic_in_array_m)
     microphones.push_back(JsonFrom(mic));
-  return {{"base_from_array", JsonFrom(calibration.base_from_array)},
-          {"base_from_lidar", JsonFrom(calibration.base_from_lidar)},
-          {"base_from_laser", JsonFrom(calibration.base_from_laser)},
-          {"mic_in_array_m", std::move(microphones)},
-          {"laser_time_increment_s", calibration.laser_time_increment_s},
-          {"audio_sample_rate_hz", calibration.audio_sample_rate_hz}};
+  Json json = {{"base_from_array", JsonFrom(calibration.base_from_array)},
+               {"base_from_lidar", JsonFrom(calibration.base_from_lidar)},
+               {"base_from_laser", JsonFrom(calibration.base_from_laser)},
+               {"mic_in_array_m", std::move(microphones)},
+               {"laser_time_increment_s", calibration.laser_time_increment_s},
+               {"audio_sample_rate_hz", calibration.audio_sample_rate_hz}};
+  if (calibration.full_scale_spl_db) json["full_scale_spl_db"] = *calibration.full_scale_spl_db;
+  return json;
 }
 
 frames::Calibration CalibrationFrom(const Json& json) {
@@ -56,6 +58,9 @@ frames::Calibration CalibrationFrom(const Json& json) {
   }
   calibration.laser_time_increment_s = json.at("laser_time_increment_s");
   calibration.audio_sample_rate_hz = json.at("audio_sample_rate_hz");
+  if (json.contains("full_scale_spl_db")) {
+    calibration.full_scale_spl_db = json.at("full_scale_spl_db").get<double>();
+  }
   return calibration;
 }
 

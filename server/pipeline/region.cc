@@ -73,7 +73,8 @@ absl::StatusOr<std::vector<sound_map::SourceEvent>> Region::Apply(
                      {scan.pose.map_from_base.x_m, scan.pose.map_from_base.y_m},
                      &evidence,
                      &scan.heard,
-                     scan.array_plane});
+                     scan.array_plane,
+                     scan.full_scale_spl_db});
   std::vector<sound_map::SourceEvent> events;
   if (register_.due()) events = register_.Update(finder_.Find(map_->Present()));
   clock.Lap(Stage::kSources);

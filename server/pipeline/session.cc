@@ -553,7 +553,8 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
                              std::move(scan.audio.peaks),
                              static_cast<std::int64_t>(scan.evidence.end_points.size()),
                              std::move(scan.heard),
-                             scan.array_plane};
+                             scan.array_plane,
+                             scan.full_scale_spl_db};
     commit_.journal.push_back({offset, EncodeAudioScan(info), std::move(scan.evidence)});
   }
 }

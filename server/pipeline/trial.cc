@@ -23,7 +23,12 @@ class TrialMap {
     const absl::Status applied = map_->Apply(scan.evidence);
     if (!applied.ok()) return applied;
     const geometry::Pose2& pose = scan.pose.map_from_base;
-    register_.Observe({robot, {pose.x_m, pose.y_m}, &scan.evidence, &scan.heard, scan.array_plane});
+    register_.Observe({robot,
+                       {pose.x_m, pose.y_m},
+                       &scan.evidence,
+                       &scan.heard,
+                       scan.array_plane,
+                       scan.full_scale_spl_db});
     if (register_.due()) Update();
     return absl::OkStatus();
   }

@@ -19,16 +19,19 @@ constexpr std::int64_t kMinLevelScans = 4;
 constexpr double kMaxUnlike_db = 4.0;
 constexpr int kMinAlikeBands = 3;
 
-}  // namespace
+// A full-scale square wave beside a full-scale sine.
+const double kSquareOverSine_db = 10.0 * std::log10(2.0);
 
-std::array<std::optional<double>, frames::kOctaveBands> RegisteredSource::Spectrum_db() const {
-  std::array<std::optional<double>, frames::kOctaveBands> spectrum_db;
+// By band, of the median over the view points of sum(view point, band) / scans(view point).
+template <typename Scans, typename Sum>
+Spectrum MedianOfMeans_db(const std::vector<ViewPoint>& view_points, Scans scans, Sum sum) {
+  Spectrum spectrum_db;
   std::vector<double> means;
   for (int band = 0; band < frames::kOctaveBands; ++band) {
     means.clear();
     for (const ViewPoint& view_point : view_points) {
-      if (view_point.level_scans < kMinLevelScans) continue;
-      means.push_back(view_point.power_at_1m[band] / static_cast<double>(view_point.level_scans));
+      if (scans(view_point) < kMinLevelScans) continue;
+      means.push_back(sum(view_point)[band] / static_cast<double>(scans(view_point)));
     }
     if (means.empty()) continue;
     const auto middle = means.begin() + static_cast<std::ptrdiff_t>(means.size() / 2);
@@ -38,13 +41,39 @@ std::array<std::optional<double>, frames::kOctaveBands> RegisteredSource::Spectr
   return spectrum_db;
 }
 
-std::optional<double> RegisteredSource::Level_db() const {
+}  // namespace
+
+void ViewPoint::AddLevel(const frames::BandPowers& power,
+                         const std::optional<double>& full_scale_spl_db) {
+  ++level_scans;
+  for (int band = 0; band < frames::kOctaveBands; ++band) power_at_1m[band] += power[band];
+  if (!full_scale_spl_db) return;
+  ++spl_scans;
+  const double full_scale = std::pow(10.0, (*full_scale_spl_db + kSquareOverSine_db) / 10.0);
+  for (int band = 0; band < frames::kOctaveBands; ++band) {
+    squared_pressure_at_1m[band] += full_scale * power[band];
+  }
+}
+
+std::optional<double> TotalLevel_db(const Spectrum& spectrum_db) {
   double power = 0.0;
-  for (const std::optional<double>& band_db : Spectrum_db()) {
+  for (const std::optional<double>& band_db : spectrum_db) {
     if (band_db) power += std::pow(10.0, *band_db / 10.0);
   }
   if (!(power > 0.0)) return std::nullopt;
   return 10.0 * std::log10(power);
+}
+
+Spectrum RegisteredSource::Spectrum_db() const {
+  return MedianOfMeans_db(
+      view_points, [](const ViewPoint& view_point) { return view_point.level_scans; },
+      [](const ViewPoint& view_point) -> const auto& { return view_point.power_at_1m; });
+}
+
+Spectrum RegisteredSource::SpectrumSpl_db() const {
+  return MedianOfMeans_db(
+      view_points, [](const ViewPoint& view_point) { return view_point.spl_scans; },
+      [](const ViewPoint& view_point) -> const auto& { return view_point.squared_pressure_at_1m; });
 }
 
 void RegisteredSource::AddHeard(frames::TimeNs time_ns) {
@@ -83,8 +112,8 @@ void RegisteredSource::TakeHistory(const RegisteredSource& from) {
 }
 
 bool SoundAlike(const RegisteredSource& a, const RegisteredSource& b) {
-  const auto spectrum_a = a.Spectrum_db();
-  const auto spectrum_b = b.Spectrum_db();
+  const Spectrum spectrum_a = a.Spectrum_db();
+  const Spectrum spectrum_b = b.Spectrum_db();
   int bands = 0;
   double squares = 0.0;
   for (int band = 0; band < frames::kOctaveBands; ++band) {

@@ -47,9 +47,22 @@ struct ViewPoint {
   Eigen::Vector2d place_in_map_m = Eigen::Vector2d::Zero();
   std::int64_t level_scans = 0;                            // with a peak at the source
   std::array<double, frames::kOctaveBands> power_at_1m{};  // sum over these
+  std::int64_t spl_scans = 0;                              // of these, by calibrated microphones
+  // Sum over those, in units of (20 uPa)^2.
+  std::array<double, frames::kOctaveBands> squared_pressure_at_1m{};
+
+  // One scan's peak; with the sound pressure level of a full-scale sine, where it is known.
+  void AddLevel(const frames::BandPowers& power, const std::optional<double>& full_scale_spl_db);
 
   bool operator==(const ViewPoint&) const = default;
 };
+
+// Levels in dB by octave band; none in a band that was not measured or where the source does not
+// stand out.
+using Spectrum = std::array<std::optional<double>, frames::kOctaveBands>;
+
+// Of the bands together; none without any.
+std::optional<double> TotalLevel_db(const Spectrum& spectrum_db);
 
 // A sound source as an object that lasts.
 struct RegisteredSource {
@@ -64,11 +77,10 @@ struct RegisteredSource {
   // weaker candidate, mirrored. Not part of the register's state, which it follows from.
   std::optional<Eigen::Vector3d> mirror_in_map_m;
 
-  // Median over the view points of the mean power, in dB, 0 dB being a full-scale square wave at
-  // 1 m. None in a band that was not measured or where the source does not stand out.
-  std::array<std::optional<double>, frames::kOctaveBands> Spectrum_db() const;
-  // Of the bands together.
-  std::optional<double> Level_db() const;
+  // Median over the view points of the mean power at 1 m, 0 dB being a full-scale square wave.
+  Spectrum Spectrum_db() const;
+  // Likewise, in dB re 20 uPa, by the robots with calibrated microphones alone.
+  Spectrum SpectrumSpl_db() const;
 
   // A time at which it was heard. The newest periods are kept.
   void AddHeard(frames::TimeNs time_ns);

@@ -158,10 +158,7 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
   source.AddHeard(stamp_ns);
   source.AddRobot(scan.robot);
   if (hit.peak != nullptr) {
-    ++view_point->level_scans;
-    for (int band = 0; band < frames::kOctaveBands; ++band) {
-      view_point->power_at_1m[band] += hit.peak->power_at_1m[band];
-    }
+    view_point->AddLevel(hit.peak->power_at_1m, scan.full_scale_spl_db);
   }
   // Welford's mean and scatter of the places where single scans heard it.
   const Eigen::Vector3d place = hit.sum_in_map_m / hit.supporting;

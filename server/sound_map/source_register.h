@@ -61,6 +61,8 @@ class SourceRegister {
     const EvidenceScan* evidence = nullptr;
     const std::vector<HeardPeak>* peaks = nullptr;  // may be null: none
     std::optional<ArrayPlane> array_plane;
+    // Sound pressure level of a full-scale sine at the microphones, in dB re 20 uPa.
+    std::optional<double> full_scale_spl_db;
   };
 
   explicit SourceRegister(const SoundMapConfig& config);

@@ -230,7 +230,7 @@ absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& pro
       if (!applied.ok()) return applied;
       const geometry::Pose2& pose = scan.pose.map_from_base;
       sources.Observe(
-          {"robot", {pose.x_m, pose.y_m}, &scan.evidence, &scan.heard, scan.array_plane});
+          {"robot", {pose.x_m, pose.y_m}, &scan.evidence, &scan.heard, scan.array_plane, {}});
       if (sources.due()) sources.Update(finder.Find((*map)->Present()));
     }
     for (const auto& pose : output.path) {

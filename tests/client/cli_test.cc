@@ -338,9 +338,11 @@ TEST_F(CliTest, PrintsSources) {
   period->set_start_ns(1'000'000'000'000);
   period->set_end_ns(1'060'250'000'000);
   silent.set_level_db(-12.5);
+  silent.set_spl_db(110.5);
   v1::OctaveBandLevel* band = silent.add_spectrum();
   band->set_centre_hz(500.0);
   band->set_level_db(-14.0);
+  band->set_spl_db(109.0);
   state().sources = {Source("s1", 2, 1.6, 2.7, 0.75), silent};
   const std::vector<std::string> line = {"sources",           "hall", "--format", "json",
                                          "--min-probability", "0.5",  "--since",  "10.5"};
@@ -354,7 +356,7 @@ TEST_F(CliTest, PrintsSources) {
             R"("position_covariance_m2":[1.0,0.0,0.0,0.0,1.0,0.0,0.0,0.0,2.5],)"
             R"("view_point_count":3,"robots":["r1","r2"],"last_listened_ns":1070000000000,)"
             R"("heard_periods_ns":[[1000000000000,1060250000000]],"level_db":-12.5,)"
-            R"("spectrum":[{"centre_hz":500.0,"level_db":-14.0}]},)"
+            R"("spl_db":110.5,"spectrum":[{"centre_hz":500.0,"level_db":-14.0,"spl_db":109.0}]},)"
             R"({"id":"s1","position_m":[2.0,1.6,2.7],"extent_m":0.5,"probability":0.75,)"
             R"("evidence_count":40,"first_heard_ns":1000000000000,"last_heard_ns":1060250000000,)"
             R"("peak_log_odds":3.5,"voxel_count":9,"state":"active","view_point_count":0,)"
@@ -366,12 +368,14 @@ TEST_F(CliTest, PrintsSources) {
   EXPECT_EQ(Run(line).out, json.out);
   EXPECT_EQ(
       Run({"sources", "hall"}).out,
-      "SOURCE  X [m]  Y [m]  Z [m]  EXTENT [m]  PROBABILITY  STATE   LEVEL [dB]  VIEWS  EVIDENCE  "
-      "FIRST HEARD "
+      "SOURCE  X [m]  Y [m]  Z [m]  EXTENT [m]  PROBABILITY  STATE   LEVEL [dB]  SPL [dB]  VIEWS  "
+      "EVIDENCE  FIRST HEARD "
       "              LAST HEARD\n"
-      "s2       0.10  -5.40   2.70        0.50        0.900  silent       -12.5      3        40  "
+      "s2       0.10  -5.40   2.70        0.50        0.900  silent       -12.5     110.5      3   "
+      "     40  "
       "1970-01-01T00:16:40.000Z  1970-01-01T00:17:40.250Z\n"
-      "s1       2.00   1.60   2.70        0.50        0.750  active           -      0        40  "
+      "s1       2.00   1.60   2.70        0.50        0.750  active           -         -      0   "
+      "     40  "
       "1970-01-01T00:16:40.000Z  1970-01-01T00:17:40.250Z\n");
 }
 

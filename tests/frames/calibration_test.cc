@@ -51,6 +51,10 @@ TEST(Calibration, NamesWhatIsWrong) {
               testing::HasSubstr("laser_time_increment_s"));
   EXPECT_THAT(message([](Calibration& c) { c.laser_time_increment_s = std::nan(""); }),
               testing::HasSubstr("laser_time_increment_s"));
+  for (const double wrong_db : {-26.0, 201.0, std::nan(""), HUGE_VAL}) {
+    EXPECT_THAT(message([&](Calibration& c) { c.full_scale_spl_db = wrong_db; }),
+                testing::HasSubstr("full_scale_spl_db"));
+  }
 }
 
 }  // namespace

@@ -34,6 +34,10 @@ TEST(Records, ASessionIsReadBackBitForBit) {
   EXPECT_EQ(read->calibration.base_from_array.matrix(),
             record.calibration.base_from_array.matrix());
   EXPECT_EQ(read->calibration.mic_in_array_m[0], record.calibration.mic_in_array_m[0]);
+  EXPECT_FALSE(read->calibration.full_scale_spl_db);
+  record.calibration.full_scale_spl_db = 120.0 + 1.0 / 3.0;
+  EXPECT_EQ(SessionRecordFromJson(ToJson(record))->calibration.full_scale_spl_db,
+            record.calibration.full_scale_spl_db);
   EXPECT_EQ(*read->initial_pose, *record.initial_pose);
   EXPECT_EQ(read->frame_count, record.frame_count);
   EXPECT_EQ(read->clock_offsets, record.clock_offsets);
@@ -94,6 +98,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   scan.peaks = {{Eigen::Vector3d(0, 0, 1), 17.0}, {Eigen::Vector3d(0, 1, 0), 5.0}};
   scan.end_points = 9;
   scan.array_plane = {{1.0, 2.0, 1.0 / 3.0}, Eigen::Vector3d(0.0, 0.6, 0.8)};
+  scan.full_scale_spl_db = 120.0 + 1.0 / 3.0;
   const std::string bytes = EncodeAudioScan(scan);
   const auto read = DecodeAudioScan(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
@@ -102,6 +107,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   EXPECT_EQ(read->pose.covariance, scan.pose.covariance);
   EXPECT_EQ(read->pose.state, scan.pose.state);
   EXPECT_EQ(read->array_plane, scan.array_plane);
+  EXPECT_EQ(read->full_scale_spl_db, scan.full_scale_spl_db);
   ASSERT_EQ(read->peaks.size(), 2u);
   EXPECT_EQ(read->peaks[1].direction_in_array, scan.peaks[1].direction_in_array);
   for (std::size_t cut = 0; cut < bytes.size(); ++cut) {
@@ -109,7 +115,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   }
 }
 
-// What version 2 of the register's state looks like on disk: the bytes of a state of which every
+// What version 3 of the register's state looks like on disk: the bytes of a state of which every
 // part is another number.
 TEST(Archive, AStoredRegisterKeepsItsBytes) {
   sound_map::SourceRegister::State state;

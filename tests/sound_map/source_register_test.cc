@@ -298,8 +298,36 @@ TEST(SourceRegister, OneThatStopsAndAnotherThatStartsAreTwo) {
   unlike.Hear(louder, 60, 120);
   EXPECT_EQ(unlike.Sources().size(), 2u);
   EXPECT_EQ(overlapping.Count(Kind::kMoved) + unlike.Count(Kind::kMoved), 0);
-  EXPECT_NEAR(*unlike.Near({1.2, 1.0})->Level_db(), 10.0 * std::log10(5e-3), 0.5);
-  EXPECT_NEAR(*unlike.Near({4.2, 1.0})->Level_db(), 10.0 * std::log10(5e-3) + 12.0, 0.5);
+  const double quiet_db = *TotalLevel_db(unlike.Near({1.2, 1.0})->Spectrum_db());
+  const double loud_db = *TotalLevel_db(unlike.Near({4.2, 1.0})->Spectrum_db());
+  EXPECT_NEAR(quiet_db, 10.0 * std::log10(5e-3), 0.5);
+  EXPECT_NEAR(loud_db, quiet_db + 12.0, 0.5);
+}
+
+// A sine of 94 dB SPL at 1 m, by microphones of several full scales.
+TEST(RegisteredSource, SoundPressureIsOfCalibratedMicrophonesAlone) {
+  const auto heard = [](ViewPoint& view_point, std::optional<double> full_scale_spl_db,
+                        double level_spl_db) {
+    frames::BandPowers power{};
+    // The mean square of a full-scale sine is half.
+    power[3] = static_cast<float>(
+        0.5 * std::pow(10.0, (level_spl_db - full_scale_spl_db.value_or(100.0)) / 10.0));
+    for (int scan = 0; scan < 4; ++scan) view_point.AddLevel(power, full_scale_spl_db);
+  };
+  RegisteredSource source;
+  source.view_points.resize(3);
+  heard(source.view_points[0], std::nullopt, 94.0);
+  EXPECT_TRUE(TotalLevel_db(source.Spectrum_db()));
+  EXPECT_FALSE(TotalLevel_db(source.SpectrumSpl_db()));
+
+  heard(source.view_points[1], 120.0, 94.0);
+  heard(source.view_points[2], 130.0, 94.0);
+  heard(source.view_points[2], std::nullopt, 60.0);  // another robot, there too
+  const Spectrum spl_db = source.SpectrumSpl_db();
+  ASSERT_TRUE(spl_db[3]);
+  EXPECT_NEAR(*spl_db[3], 94.0, 1e-4);
+  EXPECT_FALSE(spl_db[2]);
+  EXPECT_NEAR(*TotalLevel_db(spl_db), 94.0, 1e-4);
 }
 
 TEST(SourceRegister, TwoRobotsAtOnceOrOneAfterTheOtherFindTheSame) {

@@ -46,6 +46,21 @@ class SourcesTest(ProgramTest):
         self.assertEqual(event["sound_source"]["id"], self.at(before, moves)["id"])
         self.assertLess(math.dist(event["from_m"], moves["position"]), 0.5)
 
+    def test_calibrated_microphones_give_sound_pressure_levels(self):
+        server = self.server()
+        self.make_site(server)
+        self.replay(server, DRIVES / "pair.mcap")
+        self.assertEqual([source for source in self.found(server) if "spl_db" in source], [])
+        # What 0 dB is, a square wave of full scale, is 3 dB more than a sine of full scale.
+        zero_db = 120 + 10 * math.log10(2)
+        calibrated = self.replay_arguments(DRIVES / "pair.mcap", robot="calibrated")
+        self.ok(server, "soundmap-robot", *calibrated, "--full-scale-spl", "120")
+        for source in self.found(server):  # both robots heard the same
+            self.assertAlmostEqual(source["spl_db"], source["level_db"] + zero_db, places=2)
+            for octave in source["spectrum"]:
+                self.assertAlmostEqual(octave["spl_db"], octave["level_db"] + zero_db, places=2)
+        self.refused(server, "soundmap-robot", *calibrated, "--full-scale-spl", "-26", status=2, says="--full-scale-spl")
+
     def test_several_robots_find_what_one_finds(self):
         server = self.server()
         for site in ("one", "turns", "together"):

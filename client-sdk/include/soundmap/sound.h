@@ -26,6 +26,7 @@ struct HeardPeriod {
 struct OctaveBandLevel {
   double centre_hz = 0.0;
   double level_db = 0.0;
+  std::optional<double> spl_db;
 };
 
 // An object that lasts: its id stays while more is heard of it.
@@ -50,6 +51,9 @@ struct SoundSource {
   // At 1 m; 0 dB is a full-scale square wave at the microphones.
   std::optional<double> level_db;
   std::vector<OctaveBandLevel> spectrum;  // of bands that were measured and where it stands out
+  // Sound pressure level at 1 m in dB re 20 uPa; none: no robot with calibrated microphones heard
+  // it.
+  std::optional<double> spl_db;
   // Where it may be instead: the arrays that heard it cannot tell above from below.
   std::optional<Vector3> mirror_in_map_m;
 };
