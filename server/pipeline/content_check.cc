@@ -31,7 +31,9 @@ storage::ContentCheck MakeContentCheck() {
     return absl::OkStatus();
   };
   check.pose = [](const std::string& pose) { return DecodePose(pose).status(); };
-  check.summary = [](const std::string& summary) { return DecodeAudioScan(summary).status(); };
+  check.summary = [](const std::string&, const std::string& summary) {
+    return DecodeAudioScan(summary).status();
+  };
   check.tile = [voxel_sizes](const std::string& site, const storage::Tile& tile) {
     const auto size_m = voxel_sizes->find(site);
     if (size_m == voxel_sizes->end()) return absl::OkStatus();  // said already, of the site
