@@ -64,9 +64,11 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& sta
 namespace soundmap::pipeline {
 namespace {
 
-constexpr std::uint32_t kSourceRegisterVersion = 2;
+constexpr std::uint32_t kSourceRegistersVersion = 3;
+constexpr std::uint32_t kOneSourceRegisterVersion = 2;
 // Entries from before levels were measured have none, and begin with the length of a name.
-constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0003;
+constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0004;
+constexpr std::uint64_t kAudioScanVersionWithoutBand = 0xffff'ffff'0000'0003;
 constexpr std::uint64_t kAudioScanVersionWithoutPlane = 0xffff'ffff'0000'0002;
 
 }  // namespace
@@ -76,11 +78,11 @@ std::string EncodePose(const localization::PoseEstimate& pose) { return ToBytes(
 std::string EncodeAudioScan(const AudioScanInfo& scan) {
   const sound_map::ArrayPlane plane = scan.array_plane.value_or(sound_map::ArrayPlane());
   return ToBytes(kAudioScanVersion, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
-                 scan.end_points, scan.heard, scan.array_plane.has_value(), plane);
+                 scan.end_points, scan.heard, scan.array_plane.has_value(), plane, scan.band);
 }
 
-std::string EncodeSourceRegister(const sound_map::SourceRegister::State& state) {
-  return ToBytes(kSourceRegisterVersion, state);
+std::string EncodeSourceRegisters(const SourceRegisters& registers) {
+  return ToBytes(kSourceRegistersVersion, registers);
 }
 
 absl::StatusOr<localization::PoseEstimate> DecodePose(const std::string& bytes) {
@@ -99,6 +101,9 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   sound_map::ArrayPlane plane;
   if (version == kAudioScanVersion) {
     status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                       scan.end_points, scan.heard, has_plane, plane, scan.band);
+  } else if (version == kAudioScanVersionWithoutBand) {
+    status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                        scan.end_points, scan.heard, has_plane, plane);
   } else if (version == kAudioScanVersionWithoutPlane) {
     status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
@@ -111,15 +116,20 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   return scan;
 }
 
-absl::StatusOr<sound_map::SourceRegister::State> DecodeSourceRegister(const std::string& bytes) {
+absl::StatusOr<SourceRegisters> DecodeSourceRegisters(const std::string& bytes) {
   std::uint32_t version = 0;
   if (absl::Status status = FromBytes(bytes, version); !status.ok()) return status;
-  if (version != kSourceRegisterVersion) {
-    return absl::DataLossError(absl::StrCat("the source register has version ", version));
+  SourceRegisters registers;
+  absl::Status status;
+  if (version == kSourceRegistersVersion) {
+    status = FromBytes(bytes, version, registers);
+  } else if (version == kOneSourceRegisterVersion) {
+    status = FromBytes(bytes, version, registers.emplace_back());
+  } else {
+    status = absl::DataLossError(absl::StrCat("the source register has version ", version));
   }
-  sound_map::SourceRegister::State state;
-  if (absl::Status status = FromBytes(bytes, version, state); !status.ok()) return status;
-  return state;
+  if (!status.ok()) return status;
+  return registers;
 }
 
 }  // namespace soundmap::pipeline

@@ -116,6 +116,12 @@ absl::Status SoundMap::Apply(const EvidenceScan& evidence) {
   return absl::OkStatus();
 }
 
+void SoundMap::Skip() {
+  absl::MutexLock lock(&mutex_);
+  ++revision_;
+  snapshot_.reset();
+}
+
 Snapshot SoundMap::View() const {
   Snapshot::Tiles tiles;
   tiles.reserve(tiles_.size());

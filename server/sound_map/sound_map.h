@@ -35,6 +35,9 @@ class SoundMap {
   // likelihood is not inside (0, 1).
   absl::Status Apply(const EvidenceScan& evidence);
 
+  // A scan of another map that shares this one's count of revisions: nothing else changes.
+  void Skip();
+
   // The map after the last whole scan: the same object until the next one. Costs a pointer a tile,
   // during which a writer waits; the writer then copies each 8^3 block of this view once before it
   // changes it. Ask for what is shown, not at every scan.

@@ -53,6 +53,19 @@ TEST(Records, ASiteOfBeforeKeepsItsFrames) {
             0);
 }
 
+TEST(Records, ASiteOfBeforeHasNoBands) {
+  SiteRecord record;
+  record.site = "hall";
+  const std::string without = ToJson(record);
+  EXPECT_EQ(without.find("bands"), std::string::npos);
+  EXPECT_TRUE(SiteRecordFromJson(without)->bands.empty());
+  record.bands = {{"hiss", 4000.0, 8000.0}, {"hum", 100.1, 500.0 / 3.0}};
+  EXPECT_EQ(SiteRecordFromJson(ToJson(record))->bands, record.bands);
+  EXPECT_TRUE(absl::IsDataLoss(
+      SiteRecordFromJson(std::string(without).insert(1, "\"bands\":[{\"name\":\"x\"}],"))
+          .status()));
+}
+
 TEST(Records, AnOffsetOfAClockIsReplacedUntilAClockJumps) {
   constexpr std::int64_t kMs_ns = 1'000'000;
   constexpr std::int64_t kHour_ns = 3'600'000 * kMs_ns;
@@ -131,18 +144,28 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   track.mirrors.with = {{3, 20.0}, {9, 1.5}};
   state.scans = {{"r1", 3}};
   state.last_ns = 99;
-  const std::string bytes = EncodeSourceRegister(state);
+  // Version 3 has the states of several registers; version 2 had that of one, without their count.
+  const std::string of_two = EncodeSourceRegisters({state, {}});
+  constexpr std::size_t kCountBytes = 17;
+  const std::string bytes =
+      std::string("\2\0\0\0", 4) + EncodeSourceRegisters({state}).substr(4 + kCountBytes);
   boost::crc_32_type checksum;
   checksum.process_bytes(bytes.data(), bytes.size());
   EXPECT_EQ(bytes.size(), 1335u);
   EXPECT_EQ(checksum.checksum(), 0xb8a96628);
-  const auto read = DecodeSourceRegister(bytes);
-  ASSERT_TRUE(read.ok()) << read.status();
-  ASSERT_EQ(read->tracks.size(), 2u);
-  EXPECT_EQ(read->tracks[1].views.present, track.views.present);
-  EXPECT_EQ(read->tracks[1].views.past_heard, 2.25);
-  EXPECT_EQ(read->tracks[1].mirrors.scans, 40.0);
-  EXPECT_EQ(read->tracks[1].mirrors.with, track.mirrors.with);
+  for (const std::string& stored : {bytes, of_two}) {
+    const auto read = DecodeSourceRegisters(stored);
+    ASSERT_TRUE(read.ok()) << read.status();
+    ASSERT_EQ(read->size(), stored == bytes ? 1u : 2u);
+    const auto& tracks = read->front().tracks;
+    ASSERT_EQ(tracks.size(), 2u);
+    EXPECT_EQ(tracks[1].views.present, track.views.present);
+    EXPECT_EQ(tracks[1].views.past_heard, 2.25);
+    EXPECT_EQ(tracks[1].mirrors.scans, 40.0);
+    EXPECT_EQ(tracks[1].mirrors.with, track.mirrors.with);
+    EXPECT_EQ(read->front().last_ns, 99);
+    EXPECT_TRUE(read->back().tracks.empty() || stored == bytes);
+  }
 }
 
 // Damaged sizes and flags are refused: nothing is made room for that the bytes cannot hold.
@@ -151,13 +174,13 @@ TEST(Archive, NoDamagedByteIsBelieved) {
   state.tracks.resize(2);
   state.tracks[1].source.robots = {"robot"};
   state.tracks[1].source.view_points.resize(2);
-  const std::string bytes = EncodeSourceRegister(state);
+  const std::string bytes = EncodeSourceRegisters({state});
   int refused = 0;
   for (std::size_t i = 0; i < bytes.size(); ++i) {
     for (const char value : {'\2', '\x7f', '\xff'}) {
       std::string damaged = bytes;
       damaged[i] = value;
-      const auto read = DecodeSourceRegister(damaged);
+      const auto read = DecodeSourceRegisters(damaged);
       if (read.ok()) continue;
       EXPECT_TRUE(absl::IsDataLoss(read.status())) << i;
       ++refused;
