@@ -52,6 +52,7 @@ struct SoundSource {
   std::vector<OctaveBandLevel> spectrum;  // of bands that were measured and where it stands out
   // Where it may be instead: the arrays that heard it cannot tell above from below.
   std::optional<Vector3> mirror_in_map_m;
+  std::string band;  // that it is heard in; empty: that of the site's profile
 };
 
 // What happened to a source, beside the changes of its fields.
@@ -72,6 +73,7 @@ struct SoundSourceList {
   std::int64_t as_of_ns = 0;
 };
 
+// `band` in what follows: the name of one of the site's bands; empty: the band of its profile.
 struct SoundSourceQuery {
   std::string site;
   double min_probability = 0.0;
@@ -80,6 +82,7 @@ struct SoundSourceQuery {
   std::int64_t start_ns = 0;
   std::int64_t end_ns = 0;
   std::vector<SoundSourceState> states;  // empty: all; but those that are gone only with a window
+  std::string band;
 };
 
 struct VoxelQuery {
@@ -87,6 +90,7 @@ struct VoxelQuery {
   std::optional<Box> box_in_map;  // absent: the whole map
   std::int64_t min_updates = 0;
   double min_probability = 0.0;
+  std::string band;
 };
 
 // Columns of equal length, one entry a voxel.
@@ -124,6 +128,7 @@ struct AudioScan {
   double noise_floor = 0.0;  // of S
   std::vector<AudioPeak> peaks;
   std::int64_t end_point_count = 0;
+  std::string band;
 };
 
 struct AudioScanQuery {
@@ -131,6 +136,7 @@ struct AudioScanQuery {
   std::string session;  // empty: all
   std::int64_t start_ns = 0;
   std::int64_t end_ns = 0;  // exclusive; 0: open
+  std::string band;
 };
 
 }  // namespace soundmap
