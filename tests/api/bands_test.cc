@@ -342,8 +342,13 @@ TEST_F(BandsTest, AWatcherIsToldOfItsBandAlone) {
     context.TryCancel();
   }
   Hear(1, kScans);
-  for (const std::string band : kBands) {
+  for (int number = 0; number < 3; ++number) {
+    const std::string band = kBands[number];
     SCOPED_TRACE(band);
+    const auto expect_own = [&](const v1::SoundSource& source) {
+      EXPECT_EQ(source.band(), band);
+      EXPECT_NEAR(source.position_m().x(), kSource_m[number], 0.05);
+    };
     grpc::ClientContext context;
     context.set_deadline(deadline);
     v1::WatchRequest request;
@@ -358,14 +363,14 @@ TEST_F(BandsTest, AWatcherIsToldOfItsBandAlone) {
     while ((scans < kScans - 1 || !changed || !appeared) && watch->Read(&event)) {
       if (event.has_audio_scan()) {
         EXPECT_EQ(event.audio_scan().band(), band);
-        ++scans;
+        EXPECT_EQ(event.audio_scan().time_ns(), ScanOf(0, ++scans).stamp_ns);
       }
       if (event.has_sound_source()) {
-        EXPECT_EQ(event.sound_source().band(), band);
+        expect_own(event.sound_source());
         changed = true;
       }
       if (event.has_sound_source_event()) {
-        EXPECT_EQ(event.sound_source_event().sound_source().band(), band);
+        expect_own(event.sound_source_event().sound_source());
         appeared = true;
       }
     }

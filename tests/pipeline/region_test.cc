@@ -438,6 +438,18 @@ TEST(RegionOfBands, MapsAndSourcesAreTheSameAfterCrashesAndCheckpoints) {
   EXPECT_TRUE(hall.Tiles() == undisturbed.Tiles());
 }
 
+TEST(RegionOfBands, RegistersOfFewerMapsAreMadeAnewFromTheJournal) {
+  const std::vector<Entry> entries = EntriesOfTwoBands();
+  Hall hall("bands_fewer", 2);
+  ASSERT_TRUE(hall.Commit(entries).ok());
+  ASSERT_TRUE(hall.region().Checkpoint().ok());
+  ASSERT_TRUE(
+      hall.store().PutCheckpoint(kSite, {}, entries.size(), EncodeSourceRegisters({{}})).ok());
+  hall.Restart();
+  ExpectAsAlone(hall, 0, entries);
+  ExpectAsAlone(hall, 1, entries);
+}
+
 TEST(RegionOfBands, TheCheckOfStoredDataKnowsTheBandsOfTheSite) {
   const auto scans = Scans();
   Hall hall("bands_checked", 3);
