@@ -316,11 +316,12 @@ std::optional<localization::OdometryFrame> Listening::odometry_frame() const {
 }
 
 void Listening::Finish(Output& output) {
-  const auto& pending = state_->ears.empty() ? std::deque<acoustics::LikelihoodScan>()
-                                             : state_->ears[kMainBand].pending_scans;
-  if (!pending.empty() && state_->Waits(pending.front())) {
+  for (const BandEar& ear : state_->ears) {
+    if (ear.band != kMainBand || ear.pending_scans.empty()) continue;
+    const acoustics::LikelihoodScan& oldest = ear.pending_scans.front();
+    if (!state_->Waits(oldest)) continue;
     state_->counters.unheard_ns =
-        state_->localizer.newest_odometry_ns().value_or(0) - pending.front().begin_ns;
+        state_->localizer.newest_odometry_ns().value_or(0) - oldest.begin_ns;
   }
   state_->Drain(/*all=*/true, output);
 }
