@@ -75,4 +75,9 @@ void AddFormat(CLI::App& command, std::string& format, const std::vector<std::st
       ->capture_default_str();
 }
 
+void AddBand(CLI::App& command, std::string& band) {
+  command.add_option("--band", band,
+                     "of the sound map of this band of the site, instead of that of its profile");
+}
+
 }  // namespace soundmap::cli

@@ -41,4 +41,7 @@ void RunWithClient(CLI::App& command, CommandLine& line,
 // --format, one of `formats`, the first by default.
 void AddFormat(CLI::App& command, std::string& format, const std::vector<std::string>& formats);
 
+// --band, of the site's bands; empty by default: that of its profile.
+void AddBand(CLI::App& command, std::string& band);
+
 }  // namespace soundmap::cli

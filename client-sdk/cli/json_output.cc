@@ -102,14 +102,20 @@ Json ToJson(const Pose2& pose) {
 }
 
 Json ToJson(const Site& site) {
-  return {{"id", site.id},
-          {"profile", site.profile},
-          {"create_time_ns", site.create_time_ns},
-          {"building_version", site.building_version},
-          {"voxel_size_m", site.voxel_size_m},
-          {"max_range_m", site.max_range_m},
-          {"keep_frames_s", site.keep_frames_s},
-          {"parameters_toml", site.parameters_toml}};
+  Json json = {{"id", site.id},
+               {"profile", site.profile},
+               {"create_time_ns", site.create_time_ns},
+               {"building_version", site.building_version},
+               {"voxel_size_m", site.voxel_size_m},
+               {"max_range_m", site.max_range_m},
+               {"keep_frames_s", site.keep_frames_s},
+               {"parameters_toml", site.parameters_toml}};
+  for (const Band& band : site.bands) {
+    json["bands"].push_back({{"name", band.name},
+                             {"min_frequency_hz", band.min_frequency_hz},
+                             {"max_frequency_hz", band.max_frequency_hz}});
+  }
+  return json;
 }
 
 Json ToJson(const Session& session) {
@@ -244,6 +250,7 @@ Json ToJson(const SoundSource& source) {
     }
   }
   if (source.mirror_in_map_m) json["mirror_position_m"] = ToJson(*source.mirror_in_map_m);
+  if (!source.band.empty()) json["band"] = source.band;
   return json;
 }
 
@@ -260,13 +267,15 @@ Json ToJson(const AudioScan& scan) {
                      {"elevation_deg", peak.elevation_rad * kDegPerRad},
                      {"power", peak.power}});
   }
-  return {{"time_ns", scan.time_ns},
-          {"robot", scan.robot},
-          {"session", scan.session},
-          {"pose", scan.pose ? ToJson(*scan.pose) : Json(nullptr)},
-          {"noise_floor", scan.noise_floor},
-          {"peaks", std::move(peaks)},
-          {"end_point_count", scan.end_point_count}};
+  Json json = {{"time_ns", scan.time_ns},
+               {"robot", scan.robot},
+               {"session", scan.session},
+               {"pose", scan.pose ? ToJson(*scan.pose) : Json(nullptr)},
+               {"noise_floor", scan.noise_floor},
+               {"peaks", std::move(peaks)},
+               {"end_point_count", scan.end_point_count}};
+  if (!scan.band.empty()) json["band"] = scan.band;
+  return json;
 }
 
 Json ToJson(const VoxelColumns& voxels, std::size_t i) {

@@ -119,6 +119,7 @@ void AddMapCommands(CLI::App& app, CommandLine& line) {
       ->add_option("--min-updates", export_->request.min_updates,
                    "only voxels with more updates (the paper's epsilon_C)")
       ->check(CLI::Range(std::int64_t{0}, std::numeric_limits<std::int64_t>::max()));
+  AddBand(*command, export_->request.band);
   command->add_option("-o,--output", export_->file, "file to write")->required();
   RunWithClient(*command, line, [export_](Client& client) { return Export(client, *export_); });
 }

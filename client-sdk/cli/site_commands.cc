@@ -1,7 +1,9 @@
 #include <iostream>
 #include <memory>
 
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "cli/command_line.h"
 #include "cli/json_output.h"
 #include "cli/progress.h"
@@ -15,6 +17,7 @@ struct SiteArguments {
   std::string site;
   std::string map;
   std::string profile;
+  std::vector<Band> bands;
   std::int64_t keep_frames_s = 0;
   std::string format;
 };
@@ -48,11 +51,29 @@ void PrintSite(const Site& site, const std::string& format) {
     return;
   }
   PrintSites({site});
+  for (const Band& band : site.bands) {
+    std::cout << "band " << band.name << ": " << absl::StrCat(band.min_frequency_hz) << " to "
+              << absl::StrCat(band.max_frequency_hz) << " Hz\n";
+  }
+}
+
+// NAME=MIN-MAX; which names and frequencies there can be, says the server.
+Band ParseBand(const std::string& text) {
+  const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
+  const std::vector<std::string> edges = absl::StrSplit(parts.back(), absl::MaxSplits('-', 1));
+  Band band{parts.front()};
+  if (parts.size() != 2 || edges.size() != 2 ||
+      !absl::SimpleAtod(edges[0], &band.min_frequency_hz) ||
+      !absl::SimpleAtod(edges[1], &band.max_frequency_hz)) {
+    throw CLI::ValidationError("--band: \"" + text +
+                               "\" is not NAME=MIN-MAX, the frequencies in hertz");
+  }
+  return band;
 }
 
 // A site whose map cannot be taken over is not left behind.
 absl::Status Create(Client& client, const SiteArguments& arguments) {
-  auto site = client.CreateSite(arguments.site, arguments.profile);
+  auto site = client.CreateSite(arguments.site, arguments.profile, arguments.bands);
   if (!site.ok()) return site.status();
   if (!arguments.map.empty()) {
     absl::Status imported;
@@ -132,6 +153,16 @@ void AddSiteCommands(CLI::App& app, CommandLine& line) {
   create->add_option("--profile", arguments->profile, "method and parameters")
       ->check(CLI::IsMember({"default", "paper"}))
       ->capture_default_str();
+  create
+      ->add_option_function<std::vector<std::string>>(
+          "--band",
+          [arguments = arguments](const std::vector<std::string>& texts) {
+            for (const std::string& text : texts) arguments->bands.push_back(ParseBand(text));
+          },
+          "NAME=MIN-MAX in hertz: a sound map of this band, too, as in hiss=4000-8000; may be "
+          "given "
+          "again")
+      ->allow_extra_args(false);
   add("list", "list the sites", List, false);
   add("show", "show a site and its parameters", Show, true);
   const auto [set, changed] = add("set", "change what a site does", Set, true);

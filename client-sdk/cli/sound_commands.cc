@@ -113,8 +113,11 @@ absl::Status Voxels(Client& client, const VoxelsArguments& arguments) {
   if (csv) {
     std::cout << "x_m,y_m,z_m,log_odds,update_count,last_update_ns\n";
   } else {
-    std::cout << "{\"site\":" << Json(arguments.query.site).dump()
-              << ",\"revision\":" << voxels.revision << ",\"as_of_ns\":" << voxels.as_of_ns
+    std::cout << "{\"site\":" << Json(arguments.query.site).dump();
+    if (!arguments.query.band.empty()) {
+      std::cout << ",\"band\":" << Json(arguments.query.band).dump();
+    }
+    std::cout << ",\"revision\":" << voxels.revision << ",\"as_of_ns\":" << voxels.as_of_ns
               << ",\"voxel_size_m\":" << Json(voxels.voxel_size_m).dump() << ",\"voxels\":[";
   }
   const char* separator = "";
@@ -175,6 +178,7 @@ void AddSoundCommands(CLI::App& app, CommandLine& line) {
       ->add_option("--min-probability", sources->query.min_probability,
                    "only sources at least as sure")
       ->check(CLI::Range(0.0, 1.0));
+  AddBand(*command, sources->query.band);
   AddTime(
       *command, "--since", sources->query.since_ns,
       "only sources heard since: ISO 8601, seconds since 1970, or an age such as 10m, 2h or 1d");
@@ -210,6 +214,7 @@ void AddSoundCommands(CLI::App& app, CommandLine& line) {
       ->add_option("--min-probability", voxels->query.min_probability,
                    "only voxels at least as sure")
       ->check(CLI::Range(0.0, 1.0));
+  AddBand(*command, voxels->query.band);
   AddFormat(*command, voxels->format, {"json", "csv"});
   RunWithClient(*command, line, [voxels](Client& client) { return Voxels(client, *voxels); });
 }

@@ -39,6 +39,7 @@ void AddWatchCommand(CLI::App& app, CommandLine& line) {
   command->add_flag("--sources", arguments->request.sound_sources, "sound sources");
   command->add_flag("--robots", arguments->request.robots, "robots");
   command->add_flag("--scans", arguments->request.audio_scans, "audio scans");
+  AddBand(*command, arguments->request.band);
   command->add_option("--resume", arguments->request.resume_token,
                       "go on after the event with this resume_token");
   command->add_option("--count", arguments->count, "end after so many events")

@@ -50,10 +50,17 @@ absl::StatusOr<Operation> Outcome(const Operation& operation) {
 
 Client::Client(std::shared_ptr<Connection> connection) : connection_(std::move(connection)) {}
 
-absl::StatusOr<Site> Client::CreateSite(const std::string& site, const std::string& profile) {
+absl::StatusOr<Site> Client::CreateSite(const std::string& site, const std::string& profile,
+                                        const std::vector<Band>& bands) {
   v1::CreateSiteRequest request;
   request.set_site_id(site);
   request.set_profile(profile);
+  for (const Band& band : bands) {
+    v1::Band& wire = *request.add_bands();
+    wire.set_name(band.name);
+    wire.set_min_frequency_hz(band.min_frequency_hz);
+    wire.set_max_frequency_hz(band.max_frequency_hz);
+  }
   request.set_request_id(RequestId());
   // The request id makes a repetition harmless.
   const auto response =
@@ -174,6 +181,7 @@ absl::StatusOr<SoundSourceList> Client::ListSoundSources(const SoundSourceQuery&
   first.set_site(internal::SiteName(query.site));
   first.set_min_probability(query.min_probability);
   first.set_since_ns(query.since_ns);
+  first.set_band(query.band);
   first.set_start_ns(query.start_ns);
   first.set_end_ns(query.end_ns);
   for (const SoundSourceState state : query.states) first.add_states(internal::ToProto(state));
@@ -209,6 +217,7 @@ absl::Status Client::QueryVoxels(const VoxelQuery& query,
   }
   request.set_min_updates(query.min_updates);
   request.set_min_probability(query.min_probability);
+  request.set_band(query.band);
   absl::Status malformed;
   const absl::Status status = connection_->Stream<v1::VoxelChunk>(
       *connection_->sound_maps, &v1::SoundMapService::Stub::QueryVoxels, request,
@@ -232,6 +241,7 @@ absl::StatusOr<std::vector<AudioScan>> Client::ListAudioScans(const AudioScanQue
   }
   first.set_start_ns(query.start_ns);
   first.set_end_ns(query.end_ns);
+  first.set_band(query.band);
   std::vector<AudioScan> scans;
   const absl::Status status = ForEachPage(first, [&](const v1::ListAudioScansRequest& request) {
     auto response = connection_->Call<v1::ListAudioScansResponse>(

@@ -115,14 +115,18 @@ std::string IdIn(const std::string& name, std::string_view collection) {
 }
 
 Site FromProto(const v1::Site& wire) {
-  return {.id = IdIn(wire.name(), "sites"),
-          .profile = wire.profile(),
-          .create_time_ns = wire.create_time_ns(),
-          .building_version = wire.building_version(),
-          .parameters_toml = wire.parameters_toml(),
-          .voxel_size_m = wire.voxel_size_m(),
-          .max_range_m = wire.max_range_m(),
-          .keep_frames_s = wire.keep_frames_s()};
+  Site site{.id = IdIn(wire.name(), "sites"),
+            .profile = wire.profile(),
+            .create_time_ns = wire.create_time_ns(),
+            .building_version = wire.building_version(),
+            .parameters_toml = wire.parameters_toml(),
+            .voxel_size_m = wire.voxel_size_m(),
+            .max_range_m = wire.max_range_m(),
+            .keep_frames_s = wire.keep_frames_s()};
+  for (const v1::Band& band : wire.bands()) {
+    site.bands.push_back({band.name(), band.min_frequency_hz(), band.max_frequency_hz()});
+  }
+  return site;
 }
 
 namespace {
@@ -254,6 +258,7 @@ SoundSource FromProto(const v1::SoundSource& wire) {
     if (band.has_spl_db()) level.spl_db = band.spl_db();
   }
   if (wire.has_mirror_position_m()) source.mirror_in_map_m = FromProto(wire.mirror_position_m());
+  source.band = wire.band();
   return source;
 }
 
@@ -271,7 +276,8 @@ AudioScan FromProto(const v1::AudioScan& wire) {
                  .robot = IdIn(wire.robot(), "robots"),
                  .time_ns = wire.time_ns(),
                  .noise_floor = wire.noise_floor(),
-                 .end_point_count = wire.end_point_count()};
+                 .end_point_count = wire.end_point_count(),
+                 .band = wire.band()};
   if (wire.has_pose()) scan.pose = FromProto(wire.pose());
   for (const auto& peak : wire.peaks()) {
     scan.peaks.push_back({peak.azimuth_rad(), peak.elevation_rad(), peak.power()});

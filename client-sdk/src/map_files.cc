@@ -264,6 +264,7 @@ absl::StatusOr<ExportedMap> Client::ExportMap(const ExportMapRequest& request,
   wire.set_format(request.format);
   wire.set_full(request.full);
   wire.set_min_updates(request.min_updates);
+  wire.set_band(request.band);
   ExportedMap exported;
   ExportFiles files(path, request.format);
   absl::Status local;

@@ -33,6 +33,7 @@ absl::Status Client::Watch(const WatchRequest& request, const WatchCallback& cal
   wire.set_robots(request.robots);
   wire.set_audio_scans(request.audio_scans);
   wire.set_resume_token(request.resume_token);
+  wire.set_band(request.band);
 
   internal::Backoff backoff(options.retry);
   absl::BitGen random;

@@ -102,6 +102,12 @@ v1::Site ToProto(const pipeline::Site& site) {
   proto.set_voxel_size_m(site.profile().sound_map.voxel_size_m);
   proto.set_max_range_m(site.profile().ray_casting.max_range_m);
   proto.set_keep_frames_s(record.keep_frames_s);
+  for (const pipeline::Band& band : record.bands) {
+    v1::Band& wire = *proto.add_bands();
+    wire.set_name(band.name);
+    wire.set_min_frequency_hz(band.f_min_hz);
+    wire.set_max_frequency_hz(band.f_max_hz);
+  }
   return proto;
 }
 
@@ -159,7 +165,9 @@ v1::Robot ToProto(const pipeline::RobotInfo& robot) {
   return proto;
 }
 
-std::string SourceId(std::uint64_t id) { return absl::StrCat(absl::Hex(id, absl::kZeroPad16)); }
+std::string SourceId(const std::string& band, std::uint64_t id) {
+  return absl::StrCat(band, band.empty() ? "" : "-", absl::Hex(id, absl::kZeroPad16));
+}
 
 v1::SoundSourceState ToProto(sound_map::SourceState state) {
   switch (state) {
@@ -173,9 +181,9 @@ v1::SoundSourceState ToProto(sound_map::SourceState state) {
   return v1::SOUND_SOURCE_STATE_UNSPECIFIED;
 }
 
-v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& registered,
-                        const TimeWindow& periods) {
-  v1::SoundSource proto = ToProto(site, registered);
+v1::SoundSource ToProto(const std::string& site, const std::string& band,
+                        const sound_map::RegisteredSource& registered, const TimeWindow& periods) {
+  v1::SoundSource proto = ToProto(site, band, registered);
   for (const sound_map::HeardPeriod& period : registered.heard) {
     if (!periods.Overlaps(period)) continue;
     v1::HeardPeriod* heard = proto.add_heard_periods();
@@ -185,10 +193,12 @@ v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSour
   return proto;
 }
 
-v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& registered) {
+v1::SoundSource ToProto(const std::string& site, const std::string& band,
+                        const sound_map::RegisteredSource& registered) {
   const sound_map::SoundSource& source = registered.found;
   v1::SoundSource proto;
-  proto.set_name(SoundSourceResource(site, SourceId(source.id)));
+  proto.set_name(SoundSourceResource(site, SourceId(band, source.id)));
+  proto.set_band(band);
   Set(proto.mutable_position_m(), source.position_in_map_m);
   proto.set_extent_m(source.extent_m);
   proto.set_probability(source.probability);
@@ -223,7 +233,8 @@ v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSour
   return proto;
 }
 
-v1::SoundSourceEvent ToProto(const std::string& site, const sound_map::SourceEvent& event) {
+v1::SoundSourceEvent ToProto(const std::string& site, const std::string& band,
+                             const sound_map::SourceEvent& event) {
   using Kind = sound_map::SourceEvent::Kind;
   v1::SoundSourceEvent proto;
   switch (event.kind) {
@@ -248,15 +259,17 @@ v1::SoundSourceEvent ToProto(const std::string& site, const sound_map::SourceEve
       break;
   }
   proto.set_time_ns(event.time_ns);
-  *proto.mutable_sound_source() = ToProto(site, event.source);
+  *proto.mutable_sound_source() = ToProto(site, band, event.source);
   if (event.other_id != 0) {
-    proto.set_other_sound_source(SoundSourceResource(site, SourceId(event.other_id)));
+    proto.set_other_sound_source(SoundSourceResource(site, SourceId(band, event.other_id)));
   }
   return proto;
 }
 
-v1::AudioScan ToProto(const std::string& site, const pipeline::AudioScanInfo& scan) {
+v1::AudioScan ToProto(const std::string& site, const std::string& band,
+                      const pipeline::AudioScanInfo& scan) {
   v1::AudioScan proto;
+  proto.set_band(band);
   proto.set_session(SessionResource(site, scan.session));
   proto.set_robot(RobotResource(scan.robot));
   proto.set_time_ns(scan.time_ns);
@@ -295,6 +308,10 @@ absl::StatusOr<geometry::Pose2> FromProto(const v1::Pose2& proto) {
     return absl::InvalidArgumentError("a pose is not finite");
   }
   return pose;
+}
+
+pipeline::Band FromProto(const v1::Band& proto) {
+  return {proto.name(), proto.min_frequency_hz(), proto.max_frequency_hz()};
 }
 
 absl::StatusOr<frames::Calibration> FromProto(const v1::Calibration& proto) {

@@ -27,7 +27,9 @@ v1::Session ToProto(const pipeline::Session& session);
 v1::Robot ToProto(const pipeline::RobotInfo& robot);
 v1::ClockOffset ToProto(const pipeline::ClockOffset& offset);
 v1::LiveView ToProto(const std::string& site, const pipeline::LiveView& view);
-std::string SourceId(std::uint64_t id);  // as it stands in a sound source's name
+// As it stands in the name of a sound source of the band; `band` is a band's name here and below,
+// empty for the main one.
+std::string SourceId(const std::string& band, std::uint64_t id);
 // Capture times start_ns <= t < end_ns.
 struct TimeWindow {
   frames::TimeNs start_ns = std::numeric_limits<frames::TimeNs>::min();
@@ -38,17 +40,21 @@ struct TimeWindow {
   }
 };
 // With the periods that overlap the window.
-v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& source,
-                        const TimeWindow& periods);
-v1::SoundSource ToProto(const std::string& site, const sound_map::RegisteredSource& source);
-v1::SoundSourceEvent ToProto(const std::string& site, const sound_map::SourceEvent& event);
+v1::SoundSource ToProto(const std::string& site, const std::string& band,
+                        const sound_map::RegisteredSource& source, const TimeWindow& periods);
+v1::SoundSource ToProto(const std::string& site, const std::string& band,
+                        const sound_map::RegisteredSource& source);
+v1::SoundSourceEvent ToProto(const std::string& site, const std::string& band,
+                             const sound_map::SourceEvent& event);
 v1::SoundSourceState ToProto(sound_map::SourceState state);
-v1::AudioScan ToProto(const std::string& site, const pipeline::AudioScanInfo& scan);
+v1::AudioScan ToProto(const std::string& site, const std::string& band,
+                      const pipeline::AudioScanInfo& scan);
 v1::Operation ToProto(const pipeline::OperationInfo& operation);
 
 // InvalidArgument: a number that is not finite, a rotation that is none; an absent transform is the
 // identity.
 absl::StatusOr<geometry::Pose2> FromProto(const v1::Pose2& pose);
+pipeline::Band FromProto(const v1::Band& band);
 absl::StatusOr<frames::Calibration> FromProto(const v1::Calibration& calibration);
 // InvalidArgument: a number that is not finite or out of its range, too many beams. `now_ns`: on
 // the server's clock.

@@ -116,7 +116,8 @@ absl::StatusOr<std::string> McapFrom(const foxglove::PointCloud& cloud, frames::
   return std::move(bytes).str();
 }
 
-absl::StatusOr<std::string> ExportSound(pipeline::Site& site, const sound_map::Snapshot& map,
+absl::StatusOr<std::string> ExportSound(pipeline::Site& site, std::uint8_t band,
+                                        const sound_map::Snapshot& map,
                                         const v1::ExportMapRequest& request) {
   if (request.min_updates() < 0 ||
       request.min_updates() > std::numeric_limits<std::uint32_t>::max()) {
@@ -127,9 +128,12 @@ absl::StatusOr<std::string> ExportSound(pipeline::Site& site, const sound_map::S
   if (format == "png") {
     sound_map::PlanViewOptions options;
     options.title = absl::StrCat("Sound map of ", site.record().site);
+    if (band != pipeline::kMainBand) {
+      absl::StrAppend(&options.title, ", band ", site.BandName(band));
+    }
     options.min_updates = min_updates;
     std::vector<sound_map::SoundSource> sources;
-    for (const sound_map::RegisteredSource& source : site.region().sources()->sources) {
+    for (const sound_map::RegisteredSource& source : site.region().sources(band)->sources) {
       if (source.state != sound_map::SourceState::kGone) sources.push_back(source.found);
     }
     return sound_map::RenderPlanView(map, PlanOf(site), sources, options);
@@ -167,13 +171,18 @@ absl::StatusOr<std::string> ExportGeometry(const building::Building& building,
 
 absl::StatusOr<Export> ExportMapFiles(pipeline::Site& site, const v1::ExportMapRequest& request) {
   const std::string site_name = site.record().site;
-  const auto map = site.region().snapshot();
+  const auto band = site.FindBand(request.band());
+  if (!band.ok()) return band.status();
+  if (*band != pipeline::kMainBand && request.what() != v1::EXPORT_WHAT_SOUND) {
+    return absl::InvalidArgumentError("only the sound map has bands");
+  }
+  const auto map = site.region().snapshot(*band);
   Export result;
   result.revision = static_cast<std::int64_t>(map->revision());
   result.as_of_ns = map->as_of_ns().value_or(0);
   const std::string suffix = absl::StrCat(".", request.format());
   if (request.what() == v1::EXPORT_WHAT_SOUND) {
-    auto bytes = ExportSound(site, *map, request);
+    auto bytes = ExportSound(site, *band, *map, request);
     if (!bytes.ok()) return bytes.status();
     result.files.push_back({suffix, *std::move(bytes)});
     return result;

@@ -21,7 +21,8 @@ struct Export {
   frames::TimeNs as_of_ns = 0;
 };
 
-// The files of an ExportMapRequest. InvalidArgument: no such format of this map;
+// The files of an ExportMapRequest. InvalidArgument: no such format of this map; NotFound: no such
+// band;
 // FailedPrecondition: the site has no geometric map.
 absl::StatusOr<Export> ExportMapFiles(pipeline::Site& site, const v1::ExportMapRequest& request);
 

@@ -55,7 +55,9 @@ absl::StatusOr<SessionName> ParseSession(const std::string& name) {
 absl::StatusOr<SourceName> ParseSoundSource(const std::string& name) {
   const auto ids = Parse(name, {"sites", "soundSources"});
   if (!ids.ok()) return ids.status();
-  return SourceName{(*ids)[0], (*ids)[1]};
+  // What follows the band has no '-'.
+  const std::size_t end = (*ids)[1].rfind('-');
+  return SourceName{(*ids)[0], end == std::string::npos ? "" : (*ids)[1].substr(0, end), (*ids)[1]};
 }
 
 absl::StatusOr<std::vector<std::string>> ParseSessionsOf(const std::string& site,

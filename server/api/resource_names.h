@@ -15,6 +15,7 @@ struct SessionName {
 };
 struct SourceName {
   std::string site;
+  std::string band;  // that {source} begins with; empty: none
   std::string source;
 };
 

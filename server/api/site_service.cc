@@ -14,7 +14,10 @@ grpc::ServerUnaryReactor* SiteService::CreateSite(grpc::CallbackServerContext* c
   const AuditedFinish finish(access_, context, "create site", request->site_id());
   const auto caller = access_->Check(*context, Right::kAdmin, request->site_id());
   if (!caller.ok()) return finish(caller.status());
-  const auto site = sites_->Create(request->site_id(), request->profile(), request->request_id());
+  std::vector<pipeline::Band> bands;
+  for (const v1::Band& band : request->bands()) bands.push_back(FromProto(band));
+  const auto site =
+      sites_->Create(request->site_id(), request->profile(), request->request_id(), bands);
   if (!site.ok()) return finish(site.status());
   *response = ToProto(**site);
   return finish(absl::OkStatus());

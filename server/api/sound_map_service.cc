@@ -102,11 +102,13 @@ grpc::ServerUnaryReactor* SoundMapService::GetSoundSource(grpc::CallbackServerCo
   if (!allowed.ok()) return Finish(context, allowed);
   const auto site = sites_->Get(name->site);
   if (!site.ok()) return Finish(context, site.status());
-  const auto sources = (*site)->region().sources();
-  for (const sound_map::RegisteredSource& source : sources->sources) {
-    if (SourceId(source.found.id) != name->source) continue;
-    *response = ToProto(name->site, source, TimeWindow());
-    return Finish(context, absl::OkStatus());
+  if (const auto band = (*site)->FindBand(name->band); band.ok()) {
+    const auto sources = (*site)->region().sources(*band);
+    for (const sound_map::RegisteredSource& source : sources->sources) {
+      if (SourceId(name->band, source.found.id) != name->source) continue;
+      *response = ToProto(name->site, name->band, source, TimeWindow());
+      return Finish(context, absl::OkStatus());
+    }
   }
   return Finish(context,
                 absl::NotFoundError(absl::StrCat("sound source '", name->source,
@@ -124,7 +126,9 @@ grpc::ServerUnaryReactor* SoundMapService::ListSoundSources(
   if (!(request->min_probability() >= 0.0 && request->min_probability() <= 1.0)) {
     return Finish(context, absl::InvalidArgumentError("min_probability is not in 0 .. 1"));
   }
-  const auto all = (*site)->region().sources();
+  const auto band = (*site)->FindBand(request->band());
+  if (!band.ok()) return Finish(context, band.status());
+  const auto all = (*site)->region().sources(*band);
   std::vector<const sound_map::RegisteredSource*> sources;
   for (const sound_map::RegisteredSource& source : all->sources) {
     if (source.found.probability < request->min_probability()) continue;
@@ -140,7 +144,8 @@ grpc::ServerUnaryReactor* SoundMapService::ListSoundSources(
   if (!page.ok()) return Finish(context, page.status());
   for (std::size_t i = page->begin; i < page->end; ++i) {
     *response->add_sound_sources() =
-        *window ? ToProto(site_name, *sources[i], **window) : ToProto(site_name, *sources[i]);
+        *window ? ToProto(site_name, request->band(), *sources[i], **window)
+                : ToProto(site_name, request->band(), *sources[i]);
   }
   response->set_next_page_token(page->next_token);
   response->set_revision(static_cast<std::int64_t>(all->revision));
@@ -153,10 +158,12 @@ grpc::ServerWriteReactor<v1::VoxelChunk>* SoundMapService::QueryVoxels(
   using Reactor = StreamReactor<v1::VoxelChunk>;
   const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return new Reactor(site.status());
+  const auto band = (*site)->FindBand(request->band());
+  if (!band.ok()) return new Reactor(band.status());
   const auto query = QueryFrom(*request);
   if (!query.ok()) return new Reactor(query.status());
   // Every chunk is of the same snapshot. The first tells the revision even where there is no voxel.
-  return new Reactor([map = (*site)->region().snapshot(), query = *query, first = true,
+  return new Reactor([map = (*site)->region().snapshot(*band), query = *query, first = true,
                       more = true](v1::VoxelChunk& chunk) mutable -> absl::StatusOr<bool> {
     if (!more) return false;
     const auto page = sound_map::FindVoxels(*map, query);
@@ -176,6 +183,8 @@ grpc::ServerUnaryReactor* SoundMapService::ListAudioScans(grpc::CallbackServerCo
                                                           v1::ListAudioScansResponse* response) {
   const auto site = FindSite(*sites_, request->site(), {access_, context, Right::kRead});
   if (!site.ok()) return Finish(context, site.status());
+  const auto band = (*site)->FindBand(request->band());
+  if (!band.ok()) return Finish(context, band.status());
   std::optional<SessionName> session;
   if (!request->session().empty()) {
     const auto name = ParseSession(request->session());
@@ -200,20 +209,21 @@ grpc::ServerUnaryReactor* SoundMapService::ListAudioScans(grpc::CallbackServerCo
         if (session && (record.session != session->session || site_name != session->site)) {
           return absl::OkStatus();
         }
+        auto scan = pipeline::DecodeAudioScan(record.entry.summary);
+        if (!scan.ok()) return scan.status();
+        if (scan->band != *band) return absl::OkStatus();
         if (response->audio_scans_size() == *page_size) {
           response->set_next_page_token(absl::StrCat(last.time_ns, ":", last.sequence));
           return absl::CancelledError("");
         }
-        auto scan = pipeline::DecodeAudioScan(record.entry.summary);
-        if (!scan.ok()) return scan.status();
         scan->session = record.session;
         scan->time_ns = position.time_ns;
-        *response->add_audio_scans() = ToProto(site_name, *scan);
+        *response->add_audio_scans() = ToProto(site_name, request->band(), *scan);
         last = position;
         return absl::OkStatus();
       });
   if (!read.ok() && !absl::IsCancelled(read)) return Finish(context, read);
-  const auto map = (*site)->region().snapshot();
+  const auto map = (*site)->region().snapshot(*band);
   response->set_revision(static_cast<std::int64_t>(map->revision()));
   response->set_as_of_ns(map->as_of_ns().value_or(0));
   return Finish(context, absl::OkStatus());

@@ -36,13 +36,15 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
                              public std::enable_shared_from_this<WatchService::Stream> {
  public:
   Stream(const WatchService& service, Caller caller, std::shared_ptr<pipeline::Site> site,
-         const v1::WatchRequest& request)
+         std::uint8_t band, const v1::WatchRequest& request)
       : executor_(service.executor_),
         access_(service.access_),
         caller_(std::move(caller)),
         token_prefix_(absl::StrCat(service.server_id_, ":")),
         site_(std::move(site)),
         site_name_(site_->record().site),
+        band_(band),
+        band_name_(request.band()),
         wants_all_(!request.sound_sources() && !request.robots() && !request.audio_scans()),
         wants_sources_(request.sound_sources()),
         wants_robots_(request.robots()),
@@ -95,35 +97,42 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
  private:
   void QueueSnapshot() {
     next_ = site_->region().events().next();
-    const auto sources = site_->region().sources();
-    for (const sound_map::RegisteredSource& source : sources->sources) Queue(source);
+    const auto sources = site_->region().sources(band_);
+    for (const sound_map::RegisteredSource& source : sources->sources) {
+      Queue(pipeline::SourceChanged{band_, source});
+    }
     for (const pipeline::RobotInfo& robot : site_->Robots()) Queue(robot);
     v1::WatchEvent& complete = queue_.emplace_back();
     complete.mutable_snapshot_complete();
   }
 
+  bool WantsSources(std::uint8_t band) const {
+    return (wants_all_ || wants_sources_) && band == band_;
+  }
+
   void Queue(const pipeline::Event& event) {
     v1::WatchEvent proto;
-    if (const auto* source = std::get_if<sound_map::RegisteredSource>(&event)) {
-      if (!wants_all_ && !wants_sources_) return;
-      *proto.mutable_sound_source() = ToProto(site_name_, *source);
-    } else if (const auto* happened = std::get_if<sound_map::SourceEvent>(&event)) {
-      if (!wants_all_ && !wants_sources_) return;
-      *proto.mutable_sound_source_event() = ToProto(site_name_, *happened);
+    if (const auto* changed = std::get_if<pipeline::SourceChanged>(&event)) {
+      if (!WantsSources(changed->band)) return;
+      *proto.mutable_sound_source() = ToProto(site_name_, band_name_, changed->source);
+    } else if (const auto* happened = std::get_if<pipeline::SourceHappened>(&event)) {
+      if (!WantsSources(happened->band)) return;
+      *proto.mutable_sound_source_event() = ToProto(site_name_, band_name_, happened->event);
     } else if (const auto* removed = std::get_if<pipeline::SourceRemoved>(&event)) {
-      if (!wants_all_ && !wants_sources_) return;
-      proto.set_removed_sound_source(SoundSourceResource(site_name_, SourceId(removed->id)));
+      if (!WantsSources(removed->band)) return;
+      proto.set_removed_sound_source(
+          SoundSourceResource(site_name_, SourceId(band_name_, removed->id)));
     } else if (const auto* robot = std::get_if<pipeline::RobotInfo>(&event)) {
       if (!wants_all_ && !wants_robots_) return;
       *proto.mutable_robot() = ToProto(*robot);
     } else if (const auto* scan = std::get_if<pipeline::AudioScanInfo>(&event)) {
-      if (!wants_all_ && !wants_scans_) return;
-      *proto.mutable_audio_scan() = ToProto(site_name_, *scan);
-    } else if (const auto* changed = std::get_if<pipeline::LiveChanged>(&event)) {
+      if ((!wants_all_ && !wants_scans_) || scan->band != band_) return;
+      *proto.mutable_audio_scan() = ToProto(site_name_, band_name_, *scan);
+    } else if (const auto* spoke = std::get_if<pipeline::LiveChanged>(&event)) {
       if (!wants_all_ && !wants_robots_) return;
       v1::LiveRobot& live = *proto.mutable_live_robot();
-      live.set_robot(RobotResource(changed->robot));
-      if (const auto view = site_->live().Find(changed->robot)) {
+      live.set_robot(RobotResource(spoke->robot));
+      if (const auto view = site_->live().Find(spoke->robot)) {
         *live.mutable_live() = ToProto(site_name_, *view);
         const auto& offset = view->report.clock_offset;
         if (offset) *live.mutable_clock_offset() = ToProto(*offset);
@@ -219,6 +228,8 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
   const std::string token_prefix_;
   const std::shared_ptr<pipeline::Site> site_;
   const std::string site_name_;
+  const std::uint8_t band_;  // that is watched
+  const std::string band_name_;
   const bool wants_all_;
   const bool wants_sources_;
   const bool wants_robots_;
@@ -246,15 +257,17 @@ grpc::ServerWriteReactor<v1::WatchEvent>* WatchService::Watch(grpc::CallbackServ
   auto caller = access_->CallerOf(*context);
   auto site = caller.ok() ? FindSite(*sites_, request->site(), Right::kRead, *access_, *caller)
                           : caller.status();
-  if (!site.ok()) {
+  const auto band = site.ok() ? (*site)->FindBand(request->band()) : site.status();
+  if (!band.ok()) {
     class Refusal : public grpc::ServerWriteReactor<v1::WatchEvent> {
      public:
       explicit Refusal(const absl::Status& status) { Finish(ToGrpcStatus(status)); }
       void OnDone() override { delete this; }
     };
-    return new Refusal(site.status());
+    return new Refusal(band.status());
   }
-  auto stream = std::make_shared<Stream>(*this, *std::move(caller), *std::move(site), *request);
+  auto stream =
+      std::make_shared<Stream>(*this, *std::move(caller), *std::move(site), *band, *request);
   stream->Start(request->resume_token());
   return stream.get();
 }

@@ -65,10 +65,10 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& sta
 namespace soundmap::pipeline {
 namespace {
 
-constexpr std::uint32_t kSourceRegisterVersion = 3;
+constexpr std::uint32_t kSourceRegistersVersion = 3;
 // Entries from before levels were measured have none, and begin with the length of a name.
 constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0004;
-constexpr std::uint64_t kAudioScanVersionWithoutFullScale = 0xffff'ffff'0000'0003;
+constexpr std::uint64_t kAudioScanVersionWithoutBand = 0xffff'ffff'0000'0003;
 constexpr std::uint64_t kAudioScanVersionWithoutPlane = 0xffff'ffff'0000'0002;
 
 }  // namespace
@@ -79,11 +79,12 @@ std::string EncodeAudioScan(const AudioScanInfo& scan) {
   const sound_map::ArrayPlane plane = scan.array_plane.value_or(sound_map::ArrayPlane());
   return ToBytes(kAudioScanVersion, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                  scan.end_points, scan.heard, scan.array_plane.has_value(), plane,
-                 scan.full_scale_spl_db.has_value(), scan.full_scale_spl_db.value_or(0.0));
+                 scan.full_scale_spl_db.has_value(), scan.full_scale_spl_db.value_or(0.0),
+                 scan.band);
 }
 
-std::string EncodeSourceRegister(const sound_map::SourceRegister::State& state) {
-  return ToBytes(kSourceRegisterVersion, state);
+std::string EncodeSourceRegisters(const SourceRegisters& registers) {
+  return ToBytes(kSourceRegistersVersion, registers);
 }
 
 absl::StatusOr<localization::PoseEstimate> DecodePose(const std::string& bytes) {
@@ -103,10 +104,10 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   bool has_full_scale = false;
   double full_scale_spl_db = 0.0;
   if (version == kAudioScanVersion) {
-    status =
-        FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
-                  scan.end_points, scan.heard, has_plane, plane, has_full_scale, full_scale_spl_db);
-  } else if (version == kAudioScanVersionWithoutFullScale) {
+    status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                       scan.end_points, scan.heard, has_plane, plane, has_full_scale,
+                       full_scale_spl_db, scan.band);
+  } else if (version == kAudioScanVersionWithoutBand) {
     status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                        scan.end_points, scan.heard, has_plane, plane);
   } else if (version == kAudioScanVersionWithoutPlane) {
@@ -121,15 +122,15 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   return scan;
 }
 
-absl::StatusOr<sound_map::SourceRegister::State> DecodeSourceRegister(const std::string& bytes) {
+absl::StatusOr<SourceRegisters> DecodeSourceRegisters(const std::string& bytes) {
   std::uint32_t version = 0;
   if (absl::Status status = FromBytes(bytes, version); !status.ok()) return status;
-  if (version != kSourceRegisterVersion) {
+  if (version != kSourceRegistersVersion) {
     return absl::DataLossError(absl::StrCat("the source register has version ", version));
   }
-  sound_map::SourceRegister::State state;
-  if (absl::Status status = FromBytes(bytes, version, state); !status.ok()) return status;
-  return state;
+  SourceRegisters registers;
+  if (absl::Status status = FromBytes(bytes, version, registers); !status.ok()) return status;
+  return registers;
 }
 
 }  // namespace soundmap::pipeline

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "pipeline/events.h"
@@ -14,11 +15,13 @@ std::string EncodePose(const localization::PoseEstimate& pose);
 std::string EncodeAudioScan(
     const AudioScanInfo& scan);  // without the session and the time, which the journal keeps
 
-std::string EncodeSourceRegister(const sound_map::SourceRegister::State& state);
+// Of all the maps of a site, by their numbers.
+using SourceRegisters = std::vector<sound_map::SourceRegister::State>;
+std::string EncodeSourceRegisters(const SourceRegisters& registers);
 
 // DataLoss: not such bytes.
 absl::StatusOr<localization::PoseEstimate> DecodePose(const std::string& bytes);
 absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes);
-absl::StatusOr<sound_map::SourceRegister::State> DecodeSourceRegister(const std::string& bytes);
+absl::StatusOr<SourceRegisters> DecodeSourceRegisters(const std::string& bytes);
 
 }  // namespace soundmap::pipeline

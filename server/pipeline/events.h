@@ -12,6 +12,7 @@
 
 #include "acoustics/likelihood_scan.h"
 #include "localization/pose_estimate.h"
+#include "pipeline/band.h"
 #include "pipeline/live_robots.h"
 #include "sound_map/source_register.h"
 
@@ -29,6 +30,7 @@ struct AudioScanInfo {
   std::vector<sound_map::HeardPeak> heard;
   std::optional<sound_map::ArrayPlane> array_plane;
   std::optional<double> full_scale_spl_db;  // of the microphones, see frames::Calibration
+  std::uint8_t band = kMainBand;            // number of the map that it entered
 };
 
 // A robot that has had a session here, or reports live.
@@ -49,12 +51,23 @@ struct LiveChanged {
   std::string robot;
 };
 
+// A source of one of the site's maps is new or has changed, is there no more, or something happened
+// to it.
+struct SourceChanged {
+  std::uint8_t band = kMainBand;
+  sound_map::RegisteredSource source;
+};
 struct SourceRemoved {
+  std::uint8_t band = kMainBand;
   std::uint64_t id = 0;
 };
+struct SourceHappened {
+  std::uint8_t band = kMainBand;
+  sound_map::SourceEvent event;
+};
 
-using Event = std::variant<sound_map::RegisteredSource, SourceRemoved, sound_map::SourceEvent,
-                           RobotInfo, AudioScanInfo, LiveChanged>;
+using Event = std::variant<SourceChanged, SourceRemoved, SourceHappened, RobotInfo, AudioScanInfo,
+                           LiveChanged>;
 
 // What happened at one site, newest last: a ring of bounded length, so that a slow reader can fall
 // out of it but never holds anybody up. Thread safe.

@@ -121,8 +121,8 @@ void serialize(Archive& archive, soundmap::pipeline::Listening::Counters& counte
 namespace soundmap::pipeline {
 namespace {
 
-// LIDAR scans and audio scans that wait for what comes after them; with more, the oldest are done
-// without.
+// LIDAR scans, and audio scans of each band, that wait for what comes after them; with more, the
+// oldest are done without.
 constexpr std::size_t kMaxLidarScans = 64;
 constexpr std::size_t kMaxPendingScans = 64;
 
@@ -130,7 +130,7 @@ constexpr std::size_t kMaxPendingScans = 64;
 constexpr frames::TimeNs kNewScanAge_ns = 5'000'000'000;
 
 // SaveState()'s bytes: a later layout has another number.
-constexpr std::uint64_t kStateVersion = 0x534d'4c04;
+constexpr std::uint64_t kStateVersion = 0x534d'4c05;
 
 // A peak lies where a ray through it ends; neighbouring rays end in one voxel or the next.
 const double kMinPeakCosine = std::cos(geometry::RadFromDeg(5.0));
@@ -176,6 +176,15 @@ frames::TimeNs MiddleOf(const frames::LidarScan& scan) {
          *std::max_element(scan.time_offset_ns.begin(), scan.time_offset_ns.end()) / 2;
 }
 
+// How the robot is heard in one band. Which scans there are, and which of them have a fault, says
+// the audio alone: the bands wait for the same and are ready together.
+struct BandEar {
+  std::uint8_t band = kMainBand;
+  std::unique_ptr<acoustics::AudioScanner> scanner;
+  ray_casting::RayCaster caster;
+  std::deque<acoustics::LikelihoodScan> pending_scans;  // oldest first
+};
+
 }  // namespace
 
 struct Listening::State {
@@ -184,13 +193,12 @@ struct Listening::State {
   const frames::Calibration calibration;
   std::shared_ptr<const PreparedBuilding> building;
   localization::Localizer localizer;
-  std::unique_ptr<acoustics::AudioScanner> scanner;  // null: the robot has no audio
-  std::optional<ray_casting::RayCaster> caster;      // with the scanner
+  std::vector<BandEar> ears;               // by band; none: the robot has no audio
+  std::vector<std::string> unheard_bands;  // a sentence each
 
   frames::OdometryTrack track;
-  std::deque<frames::LidarScan> lidar_scans;            // oldest first
-  std::deque<acoustics::LikelihoodScan> pending_scans;  // oldest first
-  std::int64_t heard = 0;                               // frames
+  std::deque<frames::LidarScan> lidar_scans;  // oldest first
+  std::int64_t heard = 0;                     // frames
   Counters counters;
 
   // Section V's points of the LIDAR scan that the last audio scan used.
@@ -208,47 +216,75 @@ struct Listening::State {
   void Hear(const frames::LaserScan&) {}
   void Hear(frames::LidarScan&& scan);
   void Hear(const frames::AudioBlock& block);
+  void Count(const acoustics::LikelihoodScan& scan);
 
+  absl::Status AddEar(std::uint8_t band, const acoustics::AcousticsConfig& config);
+  // t_k of the oldest audio scan that waits.
+  std::optional<frames::TimeNs> oldest_pending_ns() const;
   // Whether nothing that may still be heard changes what the scan is given.
   bool IsReady(const acoustics::LikelihoodScan& scan) const;
   // Whether the robot may learn where it was then.
   bool Waits(const acoustics::LikelihoodScan& scan) const;
+  // Whose oldest scan is the next one to fuse; null: all wait.
+  BandEar* NextToFuse(bool all);
   void Drain(bool all, Output& output);
-  void Fuse(acoustics::LikelihoodScan scan, Output& output);
+  void Fuse(const BandEar& ear, acoustics::LikelihoodScan scan, Output& output);
   bool View(frames::TimeNs time_ns);
 };
 
 Listening::Listening(std::unique_ptr<State> state) : state_(std::move(state)) {}
 Listening::~Listening() = default;
 
+absl::Status Listening::State::AddEar(std::uint8_t band, const acoustics::AcousticsConfig& config) {
+  auto scanner = acoustics::AudioScanner::Create(config, calibration);
+  if (!scanner.ok()) return scanner.status();
+  if (clock != nullptr) {
+    (*scanner)->WatchSteps([clock = clock](acoustics::AudioScanner::Step step) {
+      using Step = acoustics::AudioScanner::Step;
+      clock->Lap(step == Step::kSpectra ? Stage::kSpectra
+                 : step == Step::kPower ? Stage::kPower
+                                        : Stage::kEvidence);
+    });
+  }
+  auto caster = ray_casting::RayCaster::Create(profile.ray_casting, (*scanner)->grid(),
+                                               calibration.base_from_array, building->surroundings);
+  if (!caster.ok()) return caster.status();
+  ears.push_back({band, *std::move(scanner), *std::move(caster), {}});
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::unique_ptr<Listening>> Listening::Create(
-    const Profile& profile, const frames::Calibration& calibration,
+    const Profile& profile, const std::vector<Band>& bands, const frames::Calibration& calibration,
     std::shared_ptr<const PreparedBuilding> building,
     const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed, StageClock* clock) {
   std::optional<localization::InitialPose> start;
   if (initial_pose) start = localization::InitialPose{*initial_pose};
   auto localizer = localization::Localizer::Create(building->plan, calibration, start, seed);
   if (!localizer.ok()) return localizer.status();
-  std::unique_ptr<State> state(new State{profile, clock, calibration, building,
-                                         *std::move(localizer), nullptr, std::nullopt,
+  std::unique_ptr<State> state(new State{profile,
+                                         clock,
+                                         calibration,
+                                         building,
+                                         *std::move(localizer),
+                                         {},
+                                         {},
                                          frames::OdometryTrack()});
   if (!calibration.mic_in_array_m.empty() && calibration.audio_sample_rate_hz != 0) {
-    auto scanner = acoustics::AudioScanner::Create(profile.acoustics, calibration);
-    if (!scanner.ok()) return scanner.status();
-    state->scanner = *std::move(scanner);
-    if (clock != nullptr) {
-      state->scanner->WatchSteps([clock](acoustics::AudioScanner::Step step) {
-        using Step = acoustics::AudioScanner::Step;
-        clock->Lap(step == Step::kSpectra ? Stage::kSpectra
-                   : step == Step::kPower ? Stage::kPower
-                                          : Stage::kEvidence);
-      });
+    const absl::Status main = state->AddEar(kMainBand, profile.acoustics);
+    if (!main.ok()) return main;
+    for (std::size_t i = 0; i < bands.size(); ++i) {
+      const Band& band = bands[i];
+      const int rate_hz = calibration.audio_sample_rate_hz;
+      const absl::Status added =
+          2.0 * band.f_min_hz >= rate_hz
+              ? absl::InvalidArgumentError(
+                    absl::StrFormat("audio sampled at %d Hz does not reach it", rate_hz))
+              : state->AddEar(static_cast<std::uint8_t>(1 + i), ProfileOf(band, profile).acoustics);
+      if (added.ok()) continue;
+      state->unheard_bands.push_back(
+          absl::StrFormat("nothing was heard in the band '%s', %g to %g Hz: %s", band.name,
+                          band.f_min_hz, band.f_max_hz, std::string(added.message())));
     }
-    auto caster =
-        ray_casting::RayCaster::Create(profile.ray_casting, state->scanner->grid(),
-                                       calibration.base_from_array, building->surroundings);
-    if (!caster.ok()) return caster.status();
-    state->caster = *std::move(caster);
   }
   return std::unique_ptr<Listening>(new Listening(std::move(state)));
 }
@@ -268,7 +304,9 @@ void Listening::Hear(frames::Frame&& frame, Output& output) {
 void Listening::SkipHearing() { ++state_->heard; }
 
 bool Listening::waits() const {
-  return !state_->pending_scans.empty() && state_->Waits(state_->pending_scans.front());
+  return std::any_of(state_->ears.begin(), state_->ears.end(), [this](const BandEar& ear) {
+    return !ear.pending_scans.empty() && state_->Waits(ear.pending_scans.front());
+  });
 }
 
 std::int64_t Listening::heard() const { return state_->heard; }
@@ -278,9 +316,12 @@ std::optional<localization::OdometryFrame> Listening::odometry_frame() const {
 }
 
 void Listening::Finish(Output& output) {
-  if (waits()) {
+  for (const BandEar& ear : state_->ears) {
+    if (ear.band != kMainBand || ear.pending_scans.empty()) continue;
+    const acoustics::LikelihoodScan& oldest = ear.pending_scans.front();
+    if (!state_->Waits(oldest)) continue;
     state_->counters.unheard_ns =
-        state_->localizer.newest_odometry_ns().value_or(0) - state_->pending_scans.front().begin_ns;
+        state_->localizer.newest_odometry_ns().value_or(0) - oldest.begin_ns;
   }
   state_->Drain(/*all=*/true, output);
 }
@@ -305,7 +346,7 @@ void Listening::State::Hear(const frames::Odometry& odometry) {
 }
 
 void Listening::State::Hear(frames::LidarScan&& scan) {
-  if (!caster) return;
+  if (ears.empty()) return;
   if (!lidar_scans.empty() && scan.stamp_ns <= lidar_scans.back().stamp_ns) {
     ++counters.backward_lidar;
     return;
@@ -313,8 +354,7 @@ void Listening::State::Hear(frames::LidarScan&& scan) {
   const frames::TimeNs stamp_ns = scan.stamp_ns;
   lidar_scans.push_back(std::move(scan));
   // The oldest pending scan may still want the one before the newest that is not after it.
-  const frames::TimeNs oldest_ns =
-      pending_scans.empty() ? stamp_ns : pending_scans.front().mid_ns();
+  const frames::TimeNs oldest_ns = oldest_pending_ns().value_or(stamp_ns);
   const frames::TimeNs keep_ns =
       oldest_ns - 2 * frames::NsFromSeconds(profile.ray_casting.max_lidar_age_s);
   while (lidar_scans.size() > kMaxLidarScans ||
@@ -324,29 +364,42 @@ void Listening::State::Hear(frames::LidarScan&& scan) {
 }
 
 void Listening::State::Hear(const frames::AudioBlock& block) {
-  if (!scanner) {
-    ++counters.refused_audio;
-    return;
-  }
-  auto scans = scanner->Push(block);
-  if (!scans.ok()) {
-    ++counters.refused_audio;
-    return;
-  }
-  for (acoustics::LikelihoodScan& scan : *scans) {
-    if (scan.fault.empty()) {
-      if (!scan.dead_microphones.empty()) ++counters.dead_microphone_scans;
-      if (!scan.inverted_microphones.empty()) ++counters.inverted_microphone_scans;
-      for (const int n : scan.inverted_microphones) {
-        std::vector<int>& all = counters.inverted_microphones;
-        const auto at = std::lower_bound(all.begin(), all.end(), n);
-        if (at == all.end() || *at != n) all.insert(at, n);
-      }
-      pending_scans.push_back(std::move(scan));
-    } else {
-      ++counters.faulty_audio_scans;
+  if (ears.empty()) ++counters.refused_audio;
+  for (BandEar& ear : ears) {
+    auto scans = ear.scanner->Push(block);
+    if (!scans.ok()) {
+      if (ear.band == kMainBand) ++counters.refused_audio;
+      continue;
+    }
+    for (acoustics::LikelihoodScan& scan : *scans) {
+      if (ear.band == kMainBand) Count(scan);
+      if (scan.fault.empty()) ear.pending_scans.push_back(std::move(scan));
     }
   }
+}
+
+void Listening::State::Count(const acoustics::LikelihoodScan& scan) {
+  if (!scan.fault.empty()) {
+    ++counters.faulty_audio_scans;
+    return;
+  }
+  if (!scan.dead_microphones.empty()) ++counters.dead_microphone_scans;
+  if (!scan.inverted_microphones.empty()) ++counters.inverted_microphone_scans;
+  for (const int n : scan.inverted_microphones) {
+    std::vector<int>& all = counters.inverted_microphones;
+    const auto at = std::lower_bound(all.begin(), all.end(), n);
+    if (at == all.end() || *at != n) all.insert(at, n);
+  }
+}
+
+std::optional<frames::TimeNs> Listening::State::oldest_pending_ns() const {
+  std::optional<frames::TimeNs> oldest_ns;
+  for (const BandEar& ear : ears) {
+    if (ear.pending_scans.empty()) continue;
+    const frames::TimeNs mid_ns = ear.pending_scans.front().mid_ns();
+    oldest_ns = std::min(oldest_ns.value_or(mid_ns), mid_ns);
+  }
+  return oldest_ns;
 }
 
 bool Listening::State::IsReady(const acoustics::LikelihoodScan& scan) const {
@@ -377,16 +430,28 @@ bool Listening::State::Waits(const acoustics::LikelihoodScan& scan) const {
   return in_doubt(mid_ns) && in_doubt(*now_ns);
 }
 
-void Listening::State::Drain(bool all, Output& output) {
-  while (!pending_scans.empty() &&
-         (all || pending_scans.size() > kMaxPendingScans || IsReady(pending_scans.front()))) {
-    if (!all && Waits(pending_scans.front())) break;
-    acoustics::LikelihoodScan scan = std::move(pending_scans.front());
-    pending_scans.pop_front();
-    Fuse(std::move(scan), output);
+BandEar* Listening::State::NextToFuse(bool all) {
+  BandEar* next = nullptr;
+  for (BandEar& ear : ears) {
+    if (ear.pending_scans.empty()) continue;
+    const acoustics::LikelihoodScan& scan = ear.pending_scans.front();
+    if (!all) {
+      if (ear.pending_scans.size() <= kMaxPendingScans && !IsReady(scan)) continue;
+      if (Waits(scan)) continue;
+    }
+    if (next == nullptr || scan.mid_ns() < next->pending_scans.front().mid_ns()) next = &ear;
   }
-  if (!pending_scans.empty()) {
-    localizer.KeepFrom(pending_scans.front().mid_ns());
+  return next;
+}
+
+void Listening::State::Drain(bool all, Output& output) {
+  while (BandEar* ear = NextToFuse(all)) {
+    acoustics::LikelihoodScan scan = std::move(ear->pending_scans.front());
+    ear->pending_scans.pop_front();
+    Fuse(*ear, std::move(scan), output);
+  }
+  if (const auto oldest_ns = oldest_pending_ns()) {
+    localizer.KeepFrom(*oldest_ns);
   } else if (!track.empty()) {
     localizer.KeepFrom(track.newest_ns() - kNewScanAge_ns);
   }
@@ -417,11 +482,12 @@ bool Listening::State::View(frames::TimeNs time_ns) {
 
 // Section V for one audio scan: the pose and the ranges at its middle send its likelihoods into the
 // map.
-void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
+void Listening::State::Fuse(const BandEar& ear, acoustics::LikelihoodScan scan, Output& output) {
+  const bool counts = ear.band == kMainBand;
   const frames::TimeNs mid_ns = scan.mid_ns();
   const auto pose = localizer.At(mid_ns);
   if (!pose || pose->state == localization::State::kLost) {
-    ++counters.scans_without_pose;
+    if (counts) ++counters.scans_without_pose;
     return;
   }
   Lap(Stage::kSession);
@@ -429,12 +495,12 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
   if (profile.ray_casting.range == ray_casting::RangeSource::kLidar) {
     const auto odom_from_audio_base = track.At(mid_ns);
     if (!odom_from_audio_base || !View(mid_ns)) {
-      ++counters.scans_without_range;
+      if (counts) ++counters.scans_without_range;
       return;
     }
     const auto odom_from_reference_base = track.Near(view_reference_ns, 1.0);
     if (!odom_from_reference_base) {
-      ++counters.scans_without_range;
+      if (counts) ++counters.scans_without_range;
       return;
     }
     view.reference_ns = view_reference_ns;
@@ -443,31 +509,31 @@ void Listening::State::Fuse(acoustics::LikelihoodScan scan, Output& output) {
         (odom_from_reference_base->Inverse() * *odom_from_audio_base).ToIsometry();
   }
   if (std::holds_alternative<acoustics::PeakEvidence>(profile.acoustics.evidence)) {
-    ray_casting::MarkReflections(view, calibration.base_from_array, scanner->array_normal(),
+    ray_casting::MarkReflections(view, calibration.base_from_array, ear.scanner->array_normal(),
                                  scan.peaks);
     if (std::any_of(scan.peaks.begin(), scan.peaks.end(),
                     [](const acoustics::Peak& peak) { return peak.reflection; })) {
-      scan.likelihood = scanner->Likelihood(scan.peaks);
+      scan.likelihood = ear.scanner->Likelihood(scan.peaks);
     }
   }
-  auto evidence = caster->Cast(scan, view, *pose);
+  auto evidence = ear.caster.Cast(scan, view, *pose);
   Lap(Stage::kCast);
   if (!evidence.ok() || evidence->end_points.empty()) {
-    ++counters.scans_without_range;
+    if (counts) ++counters.scans_without_range;
     return;
   }
-  ++counters.audio_scans;
+  if (counts) ++counters.audio_scans;
   scan.likelihood.clear();
   const Eigen::Isometry3d map_from_array =
       pose->map_from_base.ToIsometry() * calibration.base_from_array;
   std::vector<sound_map::HeardPeak> heard =
       PlacePeaks(scan, *evidence, map_from_array, profile.sound_map.voxel_size_m);
   std::optional<sound_map::ArrayPlane> array_plane;
-  if (const auto normal = scanner->array_normal()) {
+  if (const auto normal = ear.scanner->array_normal()) {
     array_plane = {map_from_array.translation(), map_from_array.linear() * *normal};
   }
   output.scans.push_back({std::move(scan), *pose, *std::move(evidence), std::move(heard),
-                          array_plane, calibration.full_scale_spl_db});
+                          array_plane, calibration.full_scale_spl_db, ear.band});
 }
 
 std::vector<std::string> Listening::Warnings() const {
@@ -501,6 +567,7 @@ std::vector<std::string> Listening::Warnings() const {
         "the last %.0f s of sound were left out: the robot did not learn where it was",
         frames::SecondsFromNs(counters.unheard_ns)));
   }
+  warnings.insert(warnings.end(), state_->unheard_bands.begin(), state_->unheard_bands.end());
   if (localization.corrections == 0) {
     warnings.push_back("the robot was never localized: no usable laser scan");
   }
@@ -511,9 +578,14 @@ std::string Listening::SaveState() const {
   const State& state = *state_;
   const std::vector<frames::Odometry> track(state.track.entries().begin(),
                                             state.track.entries().end());
-  return ToBytes(kStateVersion, state.localizer.state(),
-                 state.scanner ? state.scanner->state() : acoustics::AudioScanner::State{}, track,
-                 state.lidar_scans, state.pending_scans, state.heard, state.counters);
+  std::vector<acoustics::AudioScanner::State> scanners;
+  std::vector<std::deque<acoustics::LikelihoodScan>> pending_scans;
+  for (const BandEar& ear : state.ears) {
+    scanners.push_back(ear.scanner->state());
+    pending_scans.push_back(ear.pending_scans);
+  }
+  return ToBytes(kStateVersion, state.localizer.state(), scanners, track, state.lidar_scans,
+                 pending_scans, state.heard, state.counters);
 }
 
 absl::Status Listening::RestoreState(const std::string& bytes) {
@@ -523,28 +595,33 @@ absl::Status Listening::RestoreState(const std::string& bytes) {
     return absl::DataLossError("the stored state of a drive is of another version");
   }
   localization::LocalizerState localizer_state;
-  acoustics::AudioScanner::State scanner_state;
+  std::vector<acoustics::AudioScanner::State> scanners;
   std::vector<frames::Odometry> track;
   std::deque<frames::LidarScan> lidar_scans;
-  std::deque<acoustics::LikelihoodScan> pending_scans;
+  std::vector<std::deque<acoustics::LikelihoodScan>> pending_scans;
   std::int64_t heard = 0;
   Counters counters;
-  const absl::Status read = FromBytes(bytes, version, localizer_state, scanner_state, track,
-                                      lidar_scans, pending_scans, heard, counters);
+  const absl::Status read = FromBytes(bytes, version, localizer_state, scanners, track, lidar_scans,
+                                      pending_scans, heard, counters);
   if (!read.ok()) return read;
   State& state = *state_;
+  if (scanners.size() != state.ears.size() || pending_scans.size() != state.ears.size()) {
+    return absl::DataLossError("the stored state of a drive is of other bands");
+  }
   auto localizer =
       localization::Localizer::Restore(state.building->plan, state.calibration, localizer_state);
   if (!localizer.ok()) return localizer.status();
-  if (state.scanner) {
-    const absl::Status restored = state.scanner->Restore(std::move(scanner_state));
+  for (std::size_t i = 0; i < state.ears.size(); ++i) {
+    const absl::Status restored = state.ears[i].scanner->Restore(std::move(scanners[i]));
     if (!restored.ok()) return restored;
   }
   state.localizer = *std::move(localizer);
   state.track = frames::OdometryTrack();
   for (const frames::Odometry& odometry : track) state.track.Add(odometry);
   state.lidar_scans = std::move(lidar_scans);
-  state.pending_scans = std::move(pending_scans);
+  for (std::size_t i = 0; i < state.ears.size(); ++i) {
+    state.ears[i].pending_scans = std::move(pending_scans[i]);
+  }
   state.heard = heard;
   state.counters = counters;
   state.view_stamp_ns.reset();

@@ -10,6 +10,7 @@
 #include "acoustics/audio_scanner.h"
 #include "frames/odometry_track.h"
 #include "localization/localizer.h"
+#include "pipeline/band.h"
 #include "pipeline/prepared_building.h"
 #include "pipeline/profile.h"
 #include "pipeline/stage_times.h"
@@ -20,7 +21,9 @@
 namespace soundmap::pipeline {
 
 // One robot's drive, from frames to evidence: localization and acoustics side by side, which meet
-// in ray casting. Each frame is given to Localize() and then to Hear(). While the robot does not
+// in ray casting. The robot is heard in the profile's band and in each of the site's bands, side by
+// side: what one gives does not depend on the others. Each frame is given to Localize() and then to
+// Hear(). While the robot does not
 // know where it is, hearing waits: the frames from then on are given to Hear() once it knows where
 // it was, in their order and before the next Localize(). A deterministic function of the frames.
 // Strand-owned.
@@ -34,14 +37,15 @@ class Listening {
     std::vector<sound_map::HeardPeak> heard;
     std::optional<sound_map::ArrayPlane> array_plane;
     std::optional<double> full_scale_spl_db;
+    std::uint8_t band = kMainBand;  // number of the map that it is for
   };
   // What some frames led to.
   struct Output {
-    std::vector<Scan> scans;
+    std::vector<Scan> scans;  // by time, of one time by band
     std::vector<localization::PoseEstimate> path;
   };
   // Since the start of the drive. A frame or scan that could not be used is left out and counted
-  // here.
+  // here; scans of the main band alone.
   struct Counters {
     std::int64_t audio_scans = 0;  // that gave evidence
     std::int64_t backward_odometry =
@@ -58,10 +62,11 @@ class Listening {
   };
 
   // `profile` and `clock` must outlive this; the clock (null: none) is told where the stages end.
-  // Without an initial pose the robot may stand anywhere in the building.
+  // Without an initial pose the robot may stand anywhere in the building. A band that the robot's
+  // sample rate does not reach has no scans of it.
   static absl::StatusOr<std::unique_ptr<Listening>> Create(
-      const Profile& profile, const frames::Calibration& calibration,
-      std::shared_ptr<const PreparedBuilding> building,
+      const Profile& profile, const std::vector<Band>& bands,
+      const frames::Calibration& calibration, std::shared_ptr<const PreparedBuilding> building,
       const std::optional<geometry::Pose2>& initial_pose, std::uint64_t seed,
       StageClock* clock = nullptr);
   ~Listening();
@@ -83,7 +88,7 @@ class Listening {
   void Finish(Output& output);
 
   const Counters& counters() const;
-  // Plain sentences for what the counters say.
+  // Plain sentences for what the counters say, and for the bands that cannot be heard.
   std::vector<std::string> Warnings() const;
 
   // All that the future depends on; after RestoreState() of the same bytes the drive goes on bit

@@ -110,16 +110,20 @@ std::optional<ClockOffset> SessionRecord::newest_offset() const {
 }
 
 std::string ToJson(const SiteRecord& record) {
-  return Json{{"version", 1},
-              {"site", record.site},
-              {"profile", record.profile},
-              {"parameters_toml", record.parameters_toml},
-              {"create_time_ns", record.create_time_ns},
-              {"building_version", record.building_version},
-              {"building_sessions", record.building_sessions},
-              {"create_request_id", record.create_request_id},
-              {"keep_frames_s", record.keep_frames_s}}
-      .dump();
+  Json json{{"version", 1},
+            {"site", record.site},
+            {"profile", record.profile},
+            {"parameters_toml", record.parameters_toml},
+            {"create_time_ns", record.create_time_ns},
+            {"building_version", record.building_version},
+            {"building_sessions", record.building_sessions},
+            {"create_request_id", record.create_request_id},
+            {"keep_frames_s", record.keep_frames_s}};
+  for (const Band& band : record.bands) {
+    json["bands"].push_back(
+        {{"name", band.name}, {"f_min_hz", band.f_min_hz}, {"f_max_hz", band.f_max_hz}});
+  }
+  return json.dump();
 }
 
 std::string ToJson(const SessionRecord& record) {
@@ -170,6 +174,9 @@ absl::StatusOr<SiteRecord> SiteRecordFromJson(const std::string& text) {
     record.building_sessions = json.value("building_sessions", std::vector<std::string>{});
     record.create_request_id = json.value("create_request_id", "");
     record.keep_frames_s = json.value("keep_frames_s", std::int64_t{0});
+    for (const Json& band : json.value("bands", Json::array())) {
+      record.bands.push_back({band.at("name"), band.at("f_min_hz"), band.at("f_max_hz")});
+    }
     return record;
   });
 }

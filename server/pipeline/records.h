@@ -7,6 +7,7 @@
 
 #include "absl/status/statusor.h"
 #include "frames/frames.h"
+#include "pipeline/band.h"
 
 namespace soundmap::pipeline {
 
@@ -22,6 +23,7 @@ struct SiteRecord {
   std::vector<std::string> building_sessions;  // the drives that it was made from
   std::string create_request_id;               // empty: the client gave none
   std::int64_t keep_frames_s = 0;              // of listening drives; 0: for ever
+  std::vector<Band> bands;                     // with maps of their own
 };
 
 enum class Purpose { kListening, kMapping };

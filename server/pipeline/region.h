@@ -11,27 +11,32 @@
 #include "pipeline/events.h"
 #include "pipeline/stage_times.h"
 #include "sound_map/sound_map.h"
-#include "sound_map/sound_sources.h"
 #include "sound_map/source_register.h"
 #include "storage/store.h"
 
 namespace soundmap::pipeline {
 
-// The sound map of one site and its sources: one writer at a time, readers on immutable snapshots
-// that never wait for it. Evidence enters the journal first, then map and source register; the
-// revision of the map is the number of journal entries in it, so that it means the same after a
-// restart. Map and sources are functions of the journal up to their revision. Thread safe.
+// The sound maps of one site, one a band, and their sources: one writer at a time, readers on
+// immutable snapshots that never wait for it. Evidence of all bands enters one journal first, then
+// map and source register of its band; the revision of each map is the number of journal entries of
+// the site that it knows of, so that it means the same in all bands and after a restart. Maps and
+// sources are functions of the journal up to their revision. `band` is everywhere the number of a
+// map, below band_count(). Thread safe.
 class Region {
  public:
-  // The map as the store has it: the tiles of the last checkpoint, then the journal behind it.
-  // Where the store has no source register that this version can read, all of the journal.
+  // The maps as the store has them: the tiles of the last checkpoint, then the journal behind it.
+  // Where the store has no source registers that this version can read, all of the journal.
+  // DataLoss: what is stored is of more maps than `band_count`.
   static absl::StatusOr<std::unique_ptr<Region>> Open(const std::string& site,
                                                       storage::Store* store,
-                                                      const sound_map::SoundMapConfig& config);
+                                                      const sound_map::SoundMapConfig& config,
+                                                      std::size_t band_count = 1);
+  ~Region();
 
-  std::shared_ptr<const sound_map::Snapshot> snapshot() const { return map_->TakeSnapshot(); }
-  // Of snapshot(), at no cost to the writer.
-  std::uint64_t revision() const { return map_->revision(); }
+  std::size_t band_count() const { return bands_.size(); }
+  std::shared_ptr<const sound_map::Snapshot> snapshot(std::uint8_t band = kMainBand) const;
+  // Of the snapshots, at no cost to the writer.
+  std::uint64_t revision() const;
 
   struct Sources {
     std::vector<sound_map::RegisteredSource> sources;  // most probable first
@@ -39,13 +44,13 @@ class Region {
     std::optional<frames::TimeNs> as_of_ns;
   };
   // As of the register's last update, or of FindSources(): never waits for either.
-  std::shared_ptr<const Sources> sources() const;
+  std::shared_ptr<const Sources> sources(std::uint8_t band = kMainBand) const;
 
-  // Brings sources() to the newest revision, if it is not there.
+  // Brings the sources() of all bands to the newest revision, where they are not there.
   void FindSources();
 
-  // All of the commit takes effect, in the store and in the map, or nothing does. `clock` is told
-  // where the stages end.
+  // All of the commit takes effect, in the store and in the maps, or nothing does. `clock` is told
+  // where the stages end. InvalidArgument: an entry of a band that the site does not have.
   absl::Status Commit(const storage::Commit& commit, StageClock& clock);
 
   // Writes the tiles that changed since the last checkpoint.
@@ -58,19 +63,21 @@ class Region {
   void PublishSourceChanges();
 
  private:
-  Region(std::string site, storage::Store* store, std::unique_ptr<sound_map::SoundMap> map)
-      : site_(std::move(site)),
-        store_(store),
-        map_(std::move(map)),
-        register_(map_->config()),
-        finder_(map_->config().sources),
-        preview_finder_(map_->config().sources) {}
+  struct BandMap;
+
+  Region(std::string site, storage::Store* store,
+         std::vector<std::unique_ptr<sound_map::SoundMap>> maps);
   absl::Status Load();
-  // One journal entry enters map and register.
+  absl::Status LoadTiles();
+  absl::Status CheckBand(std::size_t band) const;
+  // One journal entry enters map and register of its band.
   absl::StatusOr<std::vector<sound_map::SourceEvent>> Apply(const sound_map::EvidenceScan& evidence,
                                                             const AudioScanInfo& scan,
                                                             StageClock& clock);
-  void FindSourcesLocked();
+  void FindSourcesLocked(BandMap& band);
+  void PublishSourceChangesLocked(std::uint8_t band);
+  // Makes them its sources(), unless those are newer.
+  void Tell(BandMap& band, std::shared_ptr<const Sources> sources);
   absl::Status CheckpointLocked();
 
   const std::string site_;
@@ -78,17 +85,11 @@ class Region {
   EventRing events_;
 
   std::mutex writer_mutex_;
-  const std::unique_ptr<sound_map::SoundMap> map_;  // changed with writer_mutex_ held
-  sound_map::SourceRegister register_;              // guarded by writer_mutex_
-  sound_map::SourceFinder finder_;                  // guarded by writer_mutex_
-  std::uint64_t sequence_ = 0;  // guarded by writer_mutex_; last journal entry in map_
-  std::int64_t updates_since_checkpoint_ = 0;  // guarded by writer_mutex_
-
-  std::mutex finding_mutex_;                  // one search at a time; taken before sources_mutex_
-  std::shared_ptr<const Sources> published_;  // guarded by finding_mutex_
-  sound_map::SourceFinder preview_finder_;    // guarded by finding_mutex_
+  std::mutex finding_mutex_;  // one search at a time; taken before the others
   mutable std::mutex sources_mutex_;
-  std::shared_ptr<const Sources> sources_;  // guarded by sources_mutex_; never null once open
+  std::uint64_t sequence_ = 0;  // guarded by writer_mutex_; last journal entry in the maps
+  std::int64_t updates_since_checkpoint_ = 0;          // guarded by writer_mutex_
+  const std::vector<std::unique_ptr<BandMap>> bands_;  // by number
 };
 
 }  // namespace soundmap::pipeline

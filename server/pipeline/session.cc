@@ -81,8 +81,8 @@ absl::Status Session::Recover() {
 
   if (record_.purpose == Purpose::kListening) {
     auto listening =
-        Listening::Create(*site_.profile, record_.calibration, site_.building, record_.initial_pose,
-                          storage::Crc32c(record_.session), &clock_);
+        Listening::Create(*site_.profile, *site_.bands, record_.calibration, site_.building,
+                          record_.initial_pose, storage::Crc32c(record_.session), &clock_);
     if (!listening.ok()) return listening.status();
     listening_ = *std::move(listening);
     const auto state = site_.store->LatestState(id());
@@ -554,7 +554,8 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
                              static_cast<std::int64_t>(scan.evidence.end_points.size()),
                              std::move(scan.heard),
                              scan.array_plane,
-                             scan.full_scale_spl_db};
+                             scan.full_scale_spl_db,
+                             scan.band};
     commit_.journal.push_back({offset, EncodeAudioScan(info), std::move(scan.evidence)});
   }
 }

@@ -12,9 +12,11 @@
 #include <optional>
 #include <string>
 #include <variant>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "frames/frames.h"
+#include "pipeline/band.h"
 #include "pipeline/listening.h"
 #include "pipeline/meters.h"
 #include "pipeline/profile.h"
@@ -45,6 +47,7 @@ class Session : public std::enable_shared_from_this<Session> {
     storage::Store* store = nullptr;
     Region* region = nullptr;
     const Profile* profile = nullptr;
+    const std::vector<Band>* bands = nullptr;
     std::shared_ptr<const PreparedBuilding> building;  // null while mapping
     FrameDecoder decode;
     boost::asio::any_io_executor executor;

@@ -34,6 +34,7 @@ std::string BuildingKey(const std::string& site, std::int64_t version) {
 Site::Site(SiteRecord record, Profile profile, storage::Store* store, Session::FrameDecoder decode,
            boost::asio::any_io_executor executor, Meters* meters)
     : profile_(std::move(profile)),
+      bands_(record.bands),
       store_(store),
       decode_(std::move(decode)),
       executor_(std::move(executor)),
@@ -49,7 +50,7 @@ absl::StatusOr<std::shared_ptr<Site>> Site::Open(SiteRecord record, storage::Sto
   const std::string name = record.site;
   std::shared_ptr<Site> site(new Site(std::move(record), *std::move(profile), store,
                                       std::move(decode), std::move(executor), meters));
-  auto region = Region::Open(name, store, site->profile_.sound_map);
+  auto region = Region::Open(name, store, site->profile_.sound_map, 1 + site->bands_.size());
   if (!region.ok()) return region.status();
   site->region_ = *std::move(region);
   site->live_ = std::make_unique<LiveRobots>(&site->region_->events());
@@ -95,13 +96,30 @@ absl::StatusOr<std::shared_ptr<const PreparedBuilding>> Site::Prepared(std::int6
 }
 
 absl::StatusOr<std::shared_ptr<Session>> Site::OpenSession(SessionRecord record) {
-  Session::Site parts{store_, region_.get(), &profile_, nullptr, decode_, executor_, meters_};
+  Session::Site parts{store_,  region_.get(), &profile_, &bands_,
+                      nullptr, decode_,       executor_, meters_};
   if (record.purpose == Purpose::kListening && !record.complete) {
     auto prepared = Prepared(record.building_version);
     if (!prepared.ok()) return prepared.status();
     parts.building = *std::move(prepared);
   }
   return Session::Open(std::move(record), std::move(parts));
+}
+
+absl::StatusOr<std::uint8_t> Site::FindBand(const std::string& name) const {
+  if (name.empty()) return kMainBand;
+  std::vector<std::string> names;
+  for (std::size_t i = 0; i < bands_.size(); ++i) {
+    if (bands_[i].name == name) return static_cast<std::uint8_t>(1 + i);
+    names.push_back(bands_[i].name);
+  }
+  return absl::NotFoundError(absl::StrCat(
+      "site '", record().site, "' has no band '", name, "'",
+      names.empty() ? "; it has none" : absl::StrCat("; it has ", absl::StrJoin(names, ", "))));
+}
+
+std::string Site::BandName(std::uint8_t band) const {
+  return band == kMainBand ? "" : bands_[band - 1].name;
 }
 
 SiteRecord Site::record() const {

@@ -9,6 +9,7 @@
 #include "absl/status/statusor.h"
 #include "building/building.h"
 #include "mapping/mapper.h"
+#include "pipeline/band.h"
 #include "pipeline/live_robots.h"
 #include "pipeline/operations.h"
 #include "pipeline/prepared_building.h"
@@ -46,7 +47,7 @@ struct TrialRequest {
   std::vector<std::string> parameters_toml;  // one trial each, as ProfileFromToml() reads them
 };
 
-// One building with its shared map, and the drives through it. Thread safe.
+// One building with its shared maps, one a band, and the drives through it. Thread safe.
 class Site : public std::enable_shared_from_this<Site> {
  public:
   static absl::StatusOr<std::shared_ptr<Site>> Open(SiteRecord record, storage::Store* store,
@@ -56,6 +57,12 @@ class Site : public std::enable_shared_from_this<Site> {
 
   SiteRecord record() const;
   const Profile& profile() const { return profile_; }
+  const std::vector<Band>& bands() const { return bands_; }
+  // The number of the map that a band's name stands for; empty: the main one. NotFound, listing the
+  // site's bands.
+  absl::StatusOr<std::uint8_t> FindBand(const std::string& name) const;
+  // Empty for the main one.
+  std::string BandName(std::uint8_t band) const;
   Region& region() { return *region_; }
 
   // The session, new or as it was, under a new epoch. FailedPrecondition: the site has no geometric
@@ -119,6 +126,7 @@ class Site : public std::enable_shared_from_this<Site> {
   absl::StatusOr<std::vector<TrialDrive>> DrivesToTry(const TrialRequest& request) const;
 
   const Profile profile_;
+  const std::vector<Band> bands_;
   storage::Store* const store_;
   const Session::FrameDecoder decode_;
   const boost::asio::any_io_executor executor_;

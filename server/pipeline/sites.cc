@@ -87,14 +87,18 @@ Sites::~Sites() { Stop(); }
 
 absl::StatusOr<std::shared_ptr<Site>> Sites::Create(const std::string& name,
                                                     const std::string& profile_name,
-                                                    const std::string& request_id) {
+                                                    const std::string& request_id,
+                                                    const std::vector<Band>& bands) {
   const absl::Status valid = storage::ValidateName("site", name);
   if (!valid.ok()) return valid;
   const auto profile = options_.profile(profile_name.empty() ? "default" : profile_name);
   if (!profile.ok()) return profile.status();
+  const absl::Status audible = ValidateBands(bands, *profile);
+  if (!audible.ok()) return audible;
   std::lock_guard lock(mutex_);
   if (const auto known = sites_.find(name); known != sites_.end()) {
-    if (!request_id.empty() && known->second->record().create_request_id == request_id) {
+    if (!request_id.empty() && known->second->record().create_request_id == request_id &&
+        known->second->bands() == bands) {
       return known->second;
     }
     return absl::AlreadyExistsError(absl::StrCat("site '", name, "' exists already"));
@@ -105,6 +109,7 @@ absl::StatusOr<std::shared_ptr<Site>> Sites::Create(const std::string& name,
   record.parameters_toml = ToToml(*profile);
   record.create_time_ns = options_.now_ns();
   record.create_request_id = request_id;
+  record.bands = bands;
   const absl::Status stored = store_->PutRecord(storage::Table::kSite, name, ToJson(record));
   if (!stored.ok()) return stored;
   auto site = Site::Open(std::move(record), store_, options_.decode, options_.executor, &meters());

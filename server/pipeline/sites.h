@@ -41,9 +41,10 @@ class Sites {
   ~Sites();
 
   // The same request again gives the site that it created. AlreadyExists; InvalidArgument: not a
-  // name, an unknown profile.
+  // name, an unknown profile, as ValidateBands().
   absl::StatusOr<std::shared_ptr<Site>> Create(const std::string& site, const std::string& profile,
-                                               const std::string& request_id);
+                                               const std::string& request_id,
+                                               const std::vector<Band>& bands = {});
   absl::StatusOr<std::shared_ptr<Site>> Get(const std::string& site) const;
   std::vector<std::shared_ptr<Site>> List() const;  // by name
   // With its map, sessions and recordings. FailedPrecondition: a robot is streaming to it.

@@ -134,8 +134,8 @@ absl::StatusOr<Trial> TryParameters(const std::vector<TrialDrive>& drives, const
     const auto building = PreparedBuilding::Create(profile, *drive.building);
     if (!building.ok()) return building.status();
     auto listening =
-        Listening::Create(profile, drive.record.calibration, *building, drive.record.initial_pose,
-                          storage::Crc32c(drive.record.session));
+        Listening::Create(profile, /*bands=*/{}, drive.record.calibration, *building,
+                          drive.record.initial_pose, storage::Crc32c(drive.record.session));
     if (!listening.ok()) return listening.status();
     const auto log = DriveLog::Open(drive.record, store, decode);
     if (!log.ok()) return log.status();

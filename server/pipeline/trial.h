@@ -29,8 +29,9 @@ struct Trial {
 };
 
 // Runs the drives, one after the other, from their logs through the pipeline into a sound map that
-// nobody else sees. With the parameters of the site, and drives that came one after the other, the
-// sources are those of the site's own map, bit for bit. Cancelled once `report(share)` is false.
+// nobody else sees, in the profile's band. With the parameters of the site, and drives that came
+// one after the other, the sources are those of the site's own map, bit for bit. Cancelled once
+// `report(share)` is false.
 absl::StatusOr<Trial> TryParameters(const std::vector<TrialDrive>& drives, const Profile& profile,
                                     storage::Store* store, const Session::FrameDecoder& decode,
                                     absl::FunctionRef<bool(double share)> report);

@@ -23,7 +23,7 @@ class Snapshot {
            Tiles tiles);
 
   double voxel_size_m() const { return voxel_size_m_; }
-  // Scans applied so far.
+  // Scans applied or skipped so far.
   std::uint64_t revision() const { return revision_; }
   // The latest t_k; none before the first scan.
   std::optional<frames::TimeNs> as_of_ns() const { return as_of_ns_; }

@@ -85,7 +85,7 @@ absl::Status SoundMap::Apply(const EvidenceScan& evidence) {
   const float max_log_odds = static_cast<float>(config_.max_log_odds);
   const bool freeze = config_.stop_rule == StopRule::kFreeze;
 
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   ++revision_;
   as_of_ns_ = as_of_ns_ ? std::max(*as_of_ns_, evidence.stamp_ns) : evidence.stamp_ns;
   snapshot_.reset();
@@ -116,6 +116,12 @@ absl::Status SoundMap::Apply(const EvidenceScan& evidence) {
   return absl::OkStatus();
 }
 
+void SoundMap::Skip() {
+  std::lock_guard lock(mutex_);
+  ++revision_;
+  snapshot_.reset();
+}
+
 Snapshot SoundMap::View() const {
   Snapshot::Tiles tiles;
   tiles.reserve(tiles_.size());
@@ -124,12 +130,12 @@ Snapshot SoundMap::View() const {
 }
 
 Snapshot SoundMap::Present() const {
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   return View();
 }
 
 std::shared_ptr<const Snapshot> SoundMap::TakeSnapshot() const {
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   std::shared_ptr<const Snapshot> snapshot = snapshot_.lock();
   if (!snapshot) {
     snapshot = std::make_shared<const Snapshot>(View());
@@ -140,19 +146,19 @@ std::shared_ptr<const Snapshot> SoundMap::TakeSnapshot() const {
 }
 
 std::uint64_t SoundMap::revision() const {
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   return revision_;
 }
 
 std::optional<frames::TimeNs> SoundMap::as_of_ns() const {
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   return as_of_ns_;
 }
 
 std::vector<TileBlob> SoundMap::TakeDirtyTiles() {
   std::vector<std::shared_ptr<const Tile>> dirty;
   {
-    absl::MutexLock lock(&mutex_);
+    std::lock_guard lock(mutex_);
     for (auto& [key, entry] : tiles_) {
       if (!entry.dirty) continue;
       dirty.push_back(entry.tile);
@@ -169,7 +175,7 @@ std::vector<TileBlob> SoundMap::TakeDirtyTiles() {
 }
 
 void SoundMap::MarkDirty(std::span<const TileKey> keys) {
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   for (const TileKey& key : keys) {
     const auto found = tiles_.find(key);
     if (found != tiles_.end()) found->second.dirty = true;
@@ -179,7 +185,7 @@ void SoundMap::MarkDirty(std::span<const TileKey> keys) {
 absl::Status SoundMap::Load(const TileBlob& blob) {
   auto tile = ParseTile(blob, config_.voxel_size_m);
   if (!tile.ok()) return tile.status();
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   revision_ = std::max(revision_, (*tile)->revision());
   (*tile)->ForEach([&](const geometry::VoxelKey&, const Voxel& voxel) {
     as_of_ns_ = as_of_ns_ ? std::max(*as_of_ns_, voxel.last_update_ns) : voxel.last_update_ns;
@@ -191,14 +197,14 @@ absl::Status SoundMap::Load(const TileBlob& blob) {
 }
 
 void SoundMap::Restore(std::uint64_t revision, std::optional<frames::TimeNs> as_of_ns) {
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   revision_ = revision;
   as_of_ns_ = as_of_ns;
   snapshot_.reset();
 }
 
 std::size_t SoundMap::MemoryBytes() const {
-  absl::MutexLock lock(&mutex_);
+  std::lock_guard lock(mutex_);
   std::size_t bytes = sizeof(SoundMap);
   for (const auto& [key, entry] : tiles_) {
     bytes +=

@@ -4,15 +4,14 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
-#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/synchronization/mutex.h"
 #include "sound_map/config.h"
 #include "sound_map/evidence.h"
 #include "sound_map/snapshot.h"
@@ -34,6 +33,9 @@ class SoundMap {
   // Adds one scan's evidence, each end point in turn. InvalidArgument, and no change, when a
   // likelihood is not inside (0, 1).
   absl::Status Apply(const EvidenceScan& evidence);
+
+  // A scan of another map that shares this one's count of revisions: nothing else changes.
+  void Skip();
 
   // The map after the last whole scan: the same object until the next one. Costs a pointer a tile,
   // during which a writer waits; the writer then copies each 8^3 block of this view once before it
@@ -69,17 +71,17 @@ class SoundMap {
   };
 
   explicit SoundMap(const SoundMapConfig& config) : config_(config) {}
-  Snapshot View() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  Tile* OpenTile(const TileKey& key) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Both with mutex_ held.
+  Snapshot View() const;
+  Tile* OpenTile(const TileKey& key);
 
   const SoundMapConfig config_;
-  mutable absl::Mutex mutex_;
-  std::map<TileKey, Entry> tiles_ ABSL_GUARDED_BY(mutex_);
-  std::uint64_t revision_ ABSL_GUARDED_BY(mutex_) = 0;
-  std::optional<frames::TimeNs> as_of_ns_ ABSL_GUARDED_BY(mutex_);
-  mutable std::uint64_t generation_ ABSL_GUARDED_BY(mutex_) = 1;
-  mutable std::weak_ptr<const Snapshot> snapshot_
-      ABSL_GUARDED_BY(mutex_);  // of the present state; readers own it
+  mutable std::mutex mutex_;  // guards what follows
+  std::map<TileKey, Entry> tiles_;
+  std::uint64_t revision_ = 0;
+  std::optional<frames::TimeNs> as_of_ns_;
+  mutable std::uint64_t generation_ = 1;
+  mutable std::weak_ptr<const Snapshot> snapshot_;  // of the present state; readers own it
 };
 
 }  // namespace soundmap::sound_map

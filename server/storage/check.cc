@@ -203,7 +203,7 @@ void Check::SeeEntry(const std::string& site, std::string_view sequence, std::st
       TimeKey(site, record.entry.evidence.stamp_ns) + Number(record.sequence);
   const auto time = view_.Get(Family::kJournal, time_key);
   if (time.ok() && !time->has_value()) Fault(absl::StrCat(where, " is not listed by its time"));
-  if (content_.summary) FaultUnless(content_.summary(record.entry.summary), where);
+  if (content_.summary) FaultUnless(content_.summary(site, record.entry.summary), where);
 }
 
 void Check::SeeTime(const std::string& site, std::string_view stamp_and_sequence) {
@@ -220,17 +220,17 @@ void Check::SeeTile(std::string_view key, std::string_view value) {
   const std::string site = TakeSite(key, "tiles", &rest);
   if (site.empty()) return;
   ++result_.tiles;
-  if (rest.size() != 6) {
-    Fault(absl::StrCat("a tile of site ", site, " has a key of ", rest.size(), " bytes"));
+  const auto tile = TileKeyFromBytes(rest);
+  if (!tile) {
+    Fault(absl::StrCat("a tile of site ", site, " has a key of ", rest.size(),
+                       " bytes that is none"));
     return;
   }
-  const auto axis = [rest](std::size_t i) {
-    return static_cast<std::uint16_t>(BigEndian(rest.substr(2 * i, 2)));
-  };
-  const Tile tile{{axis(0), axis(1), axis(2)}, std::string(value)};
   if (content_.tile) {
-    FaultUnless(content_.tile(site, tile), absl::StrCat("tile ", tile.key.x, " ", tile.key.y, " ",
-                                                        tile.key.z, " of site ", site));
+    const std::string band = tile->band == 0 ? "" : absl::StrCat(" of band ", tile->band);
+    FaultUnless(
+        content_.tile(site, {*tile, std::string(value)}),
+        absl::StrCat("tile ", tile->x, " ", tile->y, " ", tile->z, band, " of site ", site));
   }
 }
 

@@ -17,7 +17,7 @@ namespace soundmap::storage {
 struct ContentCheck {
   std::function<absl::Status(Table table, const std::string& key, const std::string& bytes)> record;
   std::function<absl::Status(const std::string& pose)> pose;
-  std::function<absl::Status(const std::string& summary)> summary;
+  std::function<absl::Status(const std::string& site, const std::string& summary)> summary;
   std::function<absl::Status(const std::string& site, const Tile& tile)> tile;
 };
 

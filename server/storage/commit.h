@@ -1,8 +1,10 @@
 #pragma once
 
+#include <compare>
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "frames/frames.h"
@@ -48,13 +50,20 @@ struct Commit {
   std::optional<StateSnapshot> state;  // replaces the one before
 };
 
-// A cube of 32^3 voxels: voxel key / 32 on each axis.
+// A cube of 32^3 voxels of one of the site's maps: voxel key / 32 on each axis, below 2048.
 struct TileKey {
   std::uint16_t x = 0;
   std::uint16_t y = 0;
   std::uint16_t z = 0;
+  std::uint8_t band = 0;  // number of the map, at most kMaxBand
 
-  auto operator<=>(const TileKey&) const = default;
+  static constexpr std::uint8_t kMaxBand = 127;
+
+  bool operator==(const TileKey&) const = default;
+  // As the keys in the database sort: map by map.
+  std::strong_ordering operator<=>(const TileKey& other) const {
+    return std::tie(band, x, y, z) <=> std::tie(other.band, other.x, other.y, other.z);
+  }
 };
 
 struct Tile {

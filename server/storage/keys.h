@@ -1,6 +1,8 @@
 #pragma once
 
+#include <optional>
 #include <string>
+#include <string_view>
 
 #include "frames/frames.h"
 #include "storage/bytes.h"
@@ -52,10 +54,30 @@ inline std::string TrajectoryKey(const SessionId& id, frames::TimeNs time_ns) {
   return key;
 }
 
+// Set in the byte that says the band of a tile: no byte of a tile's x, which is below 2048, has it.
+inline constexpr std::uint8_t kBandMark = 0x80;
 inline std::string TileKeyBytes(const std::string& site, const TileKey& tile) {
   std::string key = SiteKey(site);
+  if (tile.band != 0) key.push_back(static_cast<char>(kBandMark | tile.band));
   for (const std::uint16_t axis : {tile.x, tile.y, tile.z}) AppendBigEndian(axis, 2, &key);
   return key;
+}
+
+// Of what follows the site in a tile's key; none: no such key.
+inline std::optional<TileKey> TileKeyFromBytes(std::string_view bytes) {
+  TileKey tile;
+  if (bytes.size() == 7) {
+    const auto mark = static_cast<std::uint8_t>(bytes[0]);
+    tile.band = mark & TileKey::kMaxBand;
+    if (mark < kBandMark || tile.band == 0) return std::nullopt;
+    bytes.remove_prefix(1);
+  }
+  if (bytes.size() != 6) return std::nullopt;
+  for (std::uint16_t* axis : {&tile.x, &tile.y, &tile.z}) {
+    *axis = static_cast<std::uint16_t>(BigEndian(bytes.substr(0, 2)));
+    bytes.remove_prefix(2);
+  }
+  return tile;
 }
 
 inline std::string RecordKey(Table table, const std::string& key) {

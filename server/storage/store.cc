@@ -516,6 +516,10 @@ absl::Status Store::PutCheckpoint(const std::string& site, const std::vector<Til
     batch.Put(Family::kState, SourceRegisterKey(site), source_register);
   }
   for (const Tile& tile : tiles) {
+    if (tile.key.band > TileKey::kMaxBand) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("a tile of site ", site, " is of band ", tile.key.band));
+    }
     if (absl::Status fits = state_->CheckSize("a tile", tile.bytes); !fits.ok()) return fits;
     const std::string key = TileKeyBytes(site, tile.key);
     if (tile.bytes.empty()) {
@@ -556,16 +560,13 @@ absl::StatusOr<std::uint64_t> Store::ReadTiles(
   const absl::Status scanned =
       view->Scan(Family::kTiles, first, EndOfPrefix(first),
                  [&](std::string_view key, std::string_view bytes) -> absl::Status {
-                   const std::string_view axes = key.substr(first.size());
-                   if (axes.size() != 6) {
-                     return absl::DataLossError(
-                         absl::StrCat("a tile of site ", site, " in ", state_->database_dir(),
-                                      " has a key of ", axes.size(), " bytes"));
+                   const auto tile = TileKeyFromBytes(key.substr(first.size()));
+                   if (!tile) {
+                     return absl::DataLossError(absl::StrCat(
+                         "a tile of site ", site, " in ", state_->database_dir(), " has a key of ",
+                         key.size() - first.size(), " bytes that is none"));
                    }
-                   const auto axis = [axes](std::size_t i) {
-                     return static_cast<std::uint16_t>(BigEndian(axes.substr(2 * i, 2)));
-                   };
-                   return callback({{axis(0), axis(1), axis(2)}, std::string(bytes)});
+                   return callback({*tile, std::string(bytes)});
                  });
   if (!scanned.ok()) return scanned;
   return sequence;

@@ -211,8 +211,8 @@ int TrialResult::doubles() const {
 absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& profile) {
   const auto building = pipeline::PreparedBuilding::Create(profile, *trial.building);
   if (!building.ok()) return building.status();
-  auto listening =
-      pipeline::Listening::Create(profile, trial.calibration, *building, trial.start, /*seed=*/1);
+  auto listening = pipeline::Listening::Create(profile, /*bands=*/{}, trial.calibration, *building,
+                                               trial.start, /*seed=*/1);
   if (!listening.ok()) return listening.status();
   auto map = sound_map::SoundMap::Create(profile.sound_map);
   if (!map.ok()) return map.status();

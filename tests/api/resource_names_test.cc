@@ -14,6 +14,10 @@ TEST(ResourceNames, AreReadBackAsTheyWereWritten) {
   EXPECT_EQ(ParseRobot(RobotResource("r2")).value(), "r2");
   EXPECT_EQ(ParseOperation(OperationResource("7")).value(), "7");
   EXPECT_EQ(ParseSoundSource(SoundSourceResource("hall", "0f"))->source, "0f");
+  EXPECT_EQ(ParseSoundSource(SoundSourceResource("hall", "0f"))->band, "");
+  const auto of_band = ParseSoundSource(SoundSourceResource("hall", "hiss-high-0f"));
+  EXPECT_EQ(of_band->band, "hiss-high");
+  EXPECT_EQ(of_band->source, "hiss-high-0f");
 }
 
 TEST(ResourceNames, OtherFormsAreRefused) {

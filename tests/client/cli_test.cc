@@ -109,6 +109,11 @@ TEST_F(CliTest, WrongUsageExitsWith2) {
       {"site"},
       {"site", "create"},
       {"site", "create", "a", "--profile", "x"},
+      {"site", "create", "a", "--band", "hiss"},
+      {"site", "create", "a", "--band", "hiss=4000"},
+      {"site", "create", "a", "--band", "hiss=low-high"},
+      {"site", "create", "a", "--band", "hiss=4000-8000-9000"},
+      {"sources", "a", "--band"},
       {"map", "build"},
       {"map", "export", "a", "--what", "smell", "--format", "ot", "-o", "f"},
       {"map", "export", "a", "--what", "sound", "--format", "exe", "-o", "f"},
@@ -244,6 +249,29 @@ TEST_F(CliTest, CreatesASiteWithAMap) {
   EXPECT_TRUE(state().sites.empty());
 }
 
+TEST_F(CliTest, CreatesASiteWithBands) {
+  const Result created =
+      Run({"site", "create", "--band", "hiss-high=4000-8000", "hall", "--band", "hum=62.5-500"});
+  ASSERT_EQ(created.exit_status, 0) << created.err;
+  EXPECT_THAT(created.out,
+              HasSubstr("band hiss-high: 4000 to 8000 Hz\nband hum: 62.5 to 500 Hz\n"));
+  const v1::Site& site = state().sites["sites/hall"];
+  ASSERT_EQ(site.bands_size(), 2);
+  EXPECT_EQ(site.bands(0).name(), "hiss-high");
+  EXPECT_EQ(site.bands(0).min_frequency_hz(), 4000.0);
+  EXPECT_EQ(site.bands(0).max_frequency_hz(), 8000.0);
+  EXPECT_EQ(site.bands(1).min_frequency_hz(), 62.5);
+  EXPECT_THAT(Run({"site", "show", "hall"}).out, HasSubstr("band hum: 62.5 to 500 Hz\n"));
+  EXPECT_THAT(Run({"site", "show", "hall", "--format", "json"}).out,
+              HasSubstr(R"("bands":[{"name":"hiss-high","min_frequency_hz":4000.0,)"
+                        R"("max_frequency_hz":8000.0},{"name":"hum",)"));
+  ASSERT_EQ(Run({"site", "create", "plain"}).exit_status, 0);
+  for (const char* format : {"table", "json"}) {
+    const std::string out = Run({"site", "show", "plain", "--format", format}).out;
+    EXPECT_EQ(out.find("band"), std::string::npos) << out;
+  }
+}
+
 TEST_F(CliTest, SetsHowLongFramesAreKept) {
   ASSERT_EQ(Run({"site", "create", "hall"}).exit_status, 0);
   EXPECT_THAT(Run({"site", "list"}).out, HasSubstr("for ever"));
@@ -322,6 +350,55 @@ v1::SoundSource Source(const std::string& id, double x, double y, double z, doub
   source.set_voxel_count(9);
   source.set_state(v1::SOUND_SOURCE_STATE_ACTIVE);
   return source;
+}
+
+TEST_F(CliTest, AsksForTheMapOfABand) {
+  v1::SoundSource hiss = Source("hiss-s1", 2, 1.6, 2.7, 0.75);
+  hiss.set_band("hiss");
+  state().sources = {hiss, Source("s1", 2, 1.6, 2.7, 0.5)};
+  const Result sources = Run({"sources", "hall", "--band", "hiss", "--format", "json"});
+  ASSERT_EQ(sources.exit_status, 0) << sources.err;
+  EXPECT_EQ(state().last_sources_request.band(), "hiss");
+  const auto listed = nlohmann::json::parse(sources.out)["sources"];
+  EXPECT_EQ(listed[0]["id"], "hiss-s1");
+  EXPECT_EQ(listed[0]["band"], "hiss");
+  EXPECT_FALSE(listed[1].contains("band"));
+  EXPECT_THAT(Run({"sources", "hall"}).out, HasSubstr("hiss-s1"));
+  EXPECT_EQ(state().last_sources_request.band(), "");
+
+  const Result voxels = Run({"voxels", "hall", "--band", "hiss", "--box", "0,0,0,1,1,1"});
+  ASSERT_EQ(voxels.exit_status, 0) << voxels.err;
+  EXPECT_EQ(state().last_voxels_request.band(), "hiss");
+  EXPECT_THAT(voxels.out, StartsWith(R"({"site":"hall","band":"hiss","revision":)"));
+  EXPECT_THAT(Run({"voxels", "hall", "--box", "0,0,0,1,1,1"}).out,
+              StartsWith(R"({"site":"hall","revision":)"));
+
+  v1::ExportMapResponse file;
+  file.set_file_suffix(".ply");
+  file.set_data("ply");
+  state().export_chunks = {file};
+  EXPECT_EQ(Run({"map", "export", "hall", "--what", "sound", "--format", "ply", "--band", "hiss",
+                 "-o", (directory_ / "hiss.ply").string()})
+                .exit_status,
+            0);
+  EXPECT_EQ(state().last_export_request.band(), "hiss");
+
+  v1::WatchEvent heard;
+  *heard.mutable_sound_source() = hiss;
+  v1::WatchEvent scan;
+  scan.mutable_audio_scan()->set_band("hiss");
+  v1::WatchEvent of_main;
+  of_main.mutable_audio_scan()->set_time_ns(5);
+  state().watch_script = {{.events = {heard, scan, of_main}, .stays_open = true}};
+  const Result watched =
+      Run({"watch", "hall", "--sources", "--scans", "--band", "hiss", "--count", "3"});
+  EXPECT_EQ(state().watch_requests.back().band(), "hiss");
+  EXPECT_EQ(std::count(watched.out.begin(), watched.out.end(), '\n'), 3);
+  const auto second = watched.out.find("audio_scan");
+  EXPECT_THAT(watched.out.substr(0, second), HasSubstr(R"("band":"hiss")"));
+  const auto third = watched.out.find("audio_scan", second + 1);
+  EXPECT_THAT(watched.out.substr(second, third - second), HasSubstr(R"("band":"hiss")"));
+  EXPECT_EQ(watched.out.substr(third).find("band"), std::string::npos);
 }
 
 TEST_F(CliTest, PrintsSources) {

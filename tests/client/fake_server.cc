@@ -60,6 +60,7 @@ class Sites : public v1::SiteService::Service {
     }
     response->set_name(name);
     response->set_profile(request->profile());
+    *response->mutable_bands() = request->bands();
     response->set_max_range_m(10.0);
     response->set_voxel_size_m(0.05);
     state_.sites[name] = *response;

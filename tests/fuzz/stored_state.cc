@@ -30,7 +30,9 @@ std::unique_ptr<Listening> NewDrive() {
   frames::Calibration calibration;
   calibration.mic_in_array_m = {{0.1, 0, 0}, {0, 0.1, 0}, {-0.1, 0, 0.05}, {0, -0.1, 0.1}};
   calibration.audio_sample_rate_hz = 16000;
-  return Listening::Create(profile, calibration, building, geometry::Pose2{}, /*seed=*/1).value();
+  return Listening::Create(profile, {{"hum", 100.0, 500.0}}, calibration, building,
+                           geometry::Pose2{}, /*seed=*/1)
+      .value();
 }
 
 std::string StateOfADrive(int ticks) {
@@ -66,6 +68,7 @@ void GoesRound(const absl::StatusOr<Value>& value, const Encode& encode,
 // The first byte is the kind.
 std::vector<std::string> Seeds() {
   pipeline::SiteRecord site{"hall", "default", "profile = \"default\"\n", 5, 1, {"d"}, "q"};
+  site.bands = {{"hum", 100.0, 500.0}};
   pipeline::SessionRecord session;
   session.site = "hall";
   session.calibration.mic_in_array_m = {{0.1, 0.0, 0.0}};
@@ -85,7 +88,7 @@ std::vector<std::string> Seeds() {
           '\1' + ToJson(session),
           '\2' + pipeline::EncodePose(scan.pose),
           '\3' + pipeline::EncodeAudioScan(scan),
-          '\4' + pipeline::EncodeSourceRegister(sources),
+          '\4' + pipeline::EncodeSourceRegisters({sources, {}}),
           '\5' + StateOfADrive(0),
           '\5' + StateOfADrive(12)};
 }
@@ -112,8 +115,8 @@ void Decode(std::string_view input) {
                 pipeline::DecodeAudioScan);
       break;
     case 4:
-      GoesRound(pipeline::DecodeSourceRegister(bytes), pipeline::EncodeSourceRegister,
-                pipeline::DecodeSourceRegister);
+      GoesRound(pipeline::DecodeSourceRegisters(bytes), pipeline::EncodeSourceRegisters,
+                pipeline::DecodeSourceRegisters);
       break;
     default: {
       static const std::unique_ptr<Listening> drive = NewDrive();

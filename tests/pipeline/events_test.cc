@@ -9,7 +9,7 @@ std::uint64_t IdOf(const Event& event) { return std::get<SourceRemoved>(event).i
 
 TEST(EventRing, IsReadInOrderAndInPages) {
   EventRing ring(/*capacity=*/10);
-  for (std::uint64_t id = 0; id < 5; ++id) ring.Publish(SourceRemoved{id});
+  for (std::uint64_t id = 0; id < 5; ++id) ring.Publish(SourceRemoved{kMainBand, id});
   EventRing::Batch batch = ring.Read(0, 3);
   ASSERT_EQ(batch.events.size(), 3u);
   EXPECT_EQ(batch.next, 3);
@@ -22,7 +22,7 @@ TEST(EventRing, IsReadInOrderAndInPages) {
 
 TEST(EventRing, TellsASlowReaderWhatItLost) {
   EventRing ring(/*capacity=*/4);
-  for (std::uint64_t id = 0; id < 10; ++id) ring.Publish(SourceRemoved{id});
+  for (std::uint64_t id = 0; id < 10; ++id) ring.Publish(SourceRemoved{kMainBand, id});
   const EventRing::Batch batch = ring.Read(2, 100);
   EXPECT_TRUE(batch.lost);
   ASSERT_EQ(batch.events.size(), 4u);

@@ -116,8 +116,10 @@ class ListeningTest : public ::testing::Test {
     std::get<acoustics::EqualAreaGrid>(profile_.acoustics.grid).spacing_rad =
         geometry::RadFromDeg(15.0);
   }
-  std::unique_ptr<Listening> Create() {
-    return Listening::Create(profile_, Robot(), Room(profile_, pillar_), TruePose(0.0), /*seed=*/1)
+  std::unique_ptr<Listening> Create() { return Create(profile_, {}, TruePose(0.0)); }
+  std::unique_ptr<Listening> Create(const Profile& profile, const std::vector<Band>& bands,
+                                    const std::optional<geometry::Pose2>& start) {
+    return Listening::Create(profile, bands, Robot(), Room(profile, pillar_), start, /*seed=*/1)
         .value();
   }
 
@@ -182,8 +184,7 @@ TEST_F(ListeningTest, ARobotWithoutAStartIsHeardOnceItKnowsWhereItWas) {
   EXPECT_EQ(ProcessInOrder(*known, drive, expected), drive.size());
   known->Finish(expected);
 
-  const auto unknown =
-      Listening::Create(profile_, Robot(), Room(profile_, pillar_), std::nullopt, 1).value();
+  const auto unknown = Create(profile_, {}, std::nullopt);
   Listening::Output output;
   const std::vector<frames::Frame> beginning(drive.begin(), drive.begin() + 70);
   EXPECT_LT(ProcessInOrder(*unknown, beginning, output), beginning.size());
@@ -205,8 +206,7 @@ TEST_F(ListeningTest, ARobotWithoutAStartIsHeardOnceItKnowsWhereItWas) {
 
 TEST_F(ListeningTest, WhatARobotHeardThatNeverKnewWhereItWasIsLeftOutAndSaid) {
   // Four places look the same for ever.
-  const auto listening =
-      Listening::Create(profile_, Robot(), Room(profile_, false), std::nullopt, 1).value();
+  const auto listening = Create(profile_, {}, std::nullopt);
   Listening::Output output;
   EXPECT_LT(ProcessInOrder(*listening, Drive(4.0, false), output), 60u);
   listening->Finish(output);
@@ -226,7 +226,7 @@ TEST_F(ListeningTest, GoesOnBitForBitFromASavedState) {
     const std::vector<frames::Frame> drive = Drive(6.0, pillar_);
     const auto create = [&] {
       const auto start = known_start ? std::optional(TruePose(0.0)) : std::nullopt;
-      return Listening::Create(profile_, Robot(), Room(profile_, pillar_), start, 1).value();
+      return Create(profile_, {}, start);
     };
     for (std::size_t moment = 1; moment < drive.size(); moment += drive.size() / 9) {
       const auto first = create();
@@ -305,6 +305,198 @@ TEST_F(ListeningTest, OdometryThatRunsBackwardsIsCountedAndLeftOut) {
   listening->Finish(output);
   EXPECT_EQ(listening->counters().backward_odometry, 40);
   EXPECT_LE(output.scans.size(), scans + 8);  // those that waited, not the drive again
+}
+
+// The scans of one band, in their order.
+std::vector<Listening::Scan> OfBand(const Listening::Output& output, std::uint8_t band) {
+  std::vector<Listening::Scan> scans;
+  for (const Listening::Scan& scan : output.scans) {
+    if (scan.band == band) scans.push_back(scan);
+  }
+  return scans;
+}
+
+// Bit for bit all that enters a map.
+void ExpectSame(const std::vector<Listening::Scan>& a, const std::vector<Listening::Scan>& b) {
+  ASSERT_EQ(a.size(), b.size());
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    ASSERT_TRUE(a[i].evidence == b[i].evidence) << i;
+    ASSERT_EQ(a[i].heard, b[i].heard);
+    ASSERT_EQ(a[i].array_plane, b[i].array_plane);
+    ASSERT_EQ(a[i].audio.noise_floor, b[i].audio.noise_floor);
+    ASSERT_EQ(a[i].audio.peaks.size(), b[i].audio.peaks.size());
+    for (std::size_t peak = 0; peak < a[i].audio.peaks.size(); ++peak) {
+      ASSERT_EQ(a[i].audio.peaks[peak].power, b[i].audio.peaks[peak].power);
+    }
+    ASSERT_EQ(a[i].pose.map_from_base, b[i].pose.map_from_base);
+  }
+}
+
+// The drive, with a sound of high frequencies ahead of the robot and one of low ones on its left.
+std::vector<frames::Frame> DriveBetweenTwoSounds(double seconds, bool pillar) {
+  // Of the microphones, in samples of 2 cm.
+  constexpr int kFromAhead[] = {0, 5, 9, 5};
+  constexpr int kFromTheLeft[] = {5, 0, 5, 9};
+  constexpr int kLowPass = 16;
+  std::vector<frames::Frame> drive = Drive(seconds, pillar);
+  std::mt19937 random(6);
+  std::normal_distribution<double> noise(0.0, 1000.0);
+  std::vector<double> high(static_cast<std::size_t>(seconds * 16000.0) + 32);
+  std::vector<double> low(high.size());
+  for (double& sample : high) sample = noise(random);
+  for (double& sample : low) sample = noise(random);
+  for (std::size_t i = high.size() - 1; i > 0; --i) high[i] -= high[i - 1];
+  for (std::size_t i = low.size() - 1; i >= kLowPass; --i) {
+    for (int n = 1; n < kLowPass; ++n) low[i] += low[i - n];
+  }
+  std::size_t begin = 16;
+  for (frames::Frame& frame : drive) {
+    auto* audio = std::get_if<frames::AudioBlock>(&frame);
+    if (audio == nullptr) continue;
+    for (std::size_t i = 0; i < audio->samples.size(); ++i) {
+      const std::size_t sample = begin + i / 4;
+      audio->samples[i] += static_cast<std::int16_t>(high[sample - kFromAhead[i % 4]] +
+                                                     low[sample - kFromTheLeft[i % 4]]);
+    }
+    begin += audio->samples.size() / 4;
+  }
+  return drive;
+}
+
+const std::vector<Band> kHissAndHum = {{"hiss", 4000.0, 7000.0}, {"hum", 200.0, 900.0}};
+
+class BandsTest : public ListeningTest {
+ protected:
+  // With both bands, against one robot for each band alone; `run` is given each.
+  template <typename Run>
+  void ExpectEachAsAlone(const Run& run, std::size_t min_scans) {
+    for (const auto& start : {std::optional(TruePose(0.0)), std::optional<geometry::Pose2>()}) {
+      SCOPED_TRACE(start ? "known start" : "unknown start");
+      pillar_ = !start;
+      const auto all = Create(profile_, kHissAndHum, start);
+      const Listening::Output output = run(*all);
+      EXPECT_TRUE(std::is_sorted(output.scans.begin(), output.scans.end(),
+                                 [](const Listening::Scan& a, const Listening::Scan& b) {
+                                   return std::pair(a.evidence.stamp_ns, a.band) <
+                                          std::pair(b.evidence.stamp_ns, b.band);
+                                 }));
+      std::vector<Profile> profiles = {profile_};
+      for (const Band& band : kHissAndHum) profiles.push_back(ProfileOf(band, profile_));
+      for (std::uint8_t band = 0; band < 3; ++band) {
+        SCOPED_TRACE(int{band});
+        const auto alone = Create(profiles[band], {}, start);
+        const Listening::Output expected = run(*alone);
+        ASSERT_GT(expected.scans.size(), min_scans);
+        ExpectSame(OfBand(output, band), expected.scans);
+        if (band != kMainBand) continue;
+        EXPECT_EQ(all->counters().audio_scans, alone->counters().audio_scans);
+        EXPECT_EQ(all->counters().faulty_audio_scans, alone->counters().faulty_audio_scans);
+        EXPECT_EQ(all->counters().dead_microphone_scans, alone->counters().dead_microphone_scans);
+        EXPECT_EQ(all->counters().scans_without_pose, alone->counters().scans_without_pose);
+        EXPECT_EQ(all->counters().scans_without_range, alone->counters().scans_without_range);
+        EXPECT_EQ(all->Warnings(), alone->Warnings());
+        ASSERT_EQ(output.path.size(), expected.path.size());
+      }
+      // They hear something, and not the same.
+      int differ = 0;
+      for (std::size_t i = 1; i < output.scans.size(); ++i) {
+        differ += output.scans[i - 1].evidence == output.scans[i].evidence ? 0 : 1;
+      }
+      EXPECT_GT(differ, static_cast<int>(output.scans.size()) * 2 / 3);
+    }
+  }
+};
+
+TEST_F(BandsTest, EachBandIsHeardAsIfItWereTheOnlyOne) {
+  ExpectEachAsAlone(
+      [this](Listening& listening) {
+        std::vector<frames::Frame> drive = DriveBetweenTwoSounds(6.0, pillar_);
+        // A gap in the audio, a dead microphone for a while, LIDAR scans that are missing.
+        int number = 0;
+        std::erase_if(drive, [&number](const frames::Frame& frame) {
+          ++number;
+          if (std::holds_alternative<frames::LidarScan>(frame)) return number > 60 && number < 130;
+          return std::holds_alternative<frames::AudioBlock>(frame) && number > 150 && number < 160;
+        });
+        for (std::size_t i = drive.size() / 2; i < drive.size() * 3 / 4; ++i) {
+          if (auto* audio = std::get_if<frames::AudioBlock>(&drive[i])) {
+            for (std::size_t n = 1; n < audio->samples.size(); n += 4) audio->samples[n] = 0;
+          }
+        }
+        Listening::Output output;
+        ProcessInOrder(listening, drive, output);
+        listening.Finish(output);
+        return output;
+      },
+      20);
+}
+
+// The sound comes first, and all else then: as many scans wait as may wait of one band.
+TEST_F(BandsTest, OfEachBandAsManyScansMayWaitAsOfOne) {
+  ExpectEachAsAlone(
+      [this](Listening& listening) {
+        std::vector<frames::Frame> drive = DriveBetweenTwoSounds(9.0, pillar_);
+        std::stable_partition(drive.begin(), drive.end(), [](const frames::Frame& frame) {
+          return std::holds_alternative<frames::AudioBlock>(frame);
+        });
+        Listening::Output output;
+        for (const frames::Frame& frame : drive) Process(listening, frame, output);
+        listening.Finish(output);
+        EXPECT_GT(listening.counters().scans_without_pose, 3) << "the oldest did not wait";
+        return output;
+      },
+      20);
+}
+
+TEST_F(BandsTest, GoOnBitForBitFromASavedState) {
+  const std::vector<frames::Frame> drive = DriveBetweenTwoSounds(4.0, false);
+  for (std::size_t moment = 1; moment < drive.size(); moment += drive.size() / 5) {
+    const auto first = Create(profile_, kHissAndHum, TruePose(0.0));
+    Listening::Output before;
+    ProcessInOrder(*first, {drive.begin(), drive.begin() + static_cast<std::ptrdiff_t>(moment)},
+                   before);
+    const std::string state = first->SaveState();
+    const auto second = Create(profile_, kHissAndHum, TruePose(0.0));
+    ASSERT_TRUE(second->RestoreState(state).ok());
+    Listening::Output a;
+    Listening::Output b;
+    ProcessInOrder(*first, drive, a, moment);
+    ProcessInOrder(*second, drive, b, moment);
+    first->Finish(a);
+    second->Finish(b);
+    EXPECT_GT(OfBand(a, 2).size(), 0u);
+    for (std::uint8_t band = 0; band < 3; ++band) ExpectSame(OfBand(a, band), OfBand(b, band));
+    EXPECT_EQ(first->SaveState(), second->SaveState()) << moment;
+    EXPECT_TRUE(absl::IsDataLoss(Create()->RestoreState(state))) << "it is of other bands";
+  }
+}
+
+TEST_F(BandsTest, WhatTheSampleRateDoesNotReachIsSaidOnceAndLeftOut) {
+  const std::vector<frames::Frame> drive = Drive(3.0);
+  const auto run = [&](Listening& listening) {
+    Listening::Output output;
+    ProcessInOrder(listening, drive, output);
+    listening.Finish(output);
+    return output;
+  };
+  const auto all = Create(profile_,
+                          {{"bats", 20000.0, 40000.0},
+                           {"half", 8000.0, 9000.0},
+                           {"line", 101.0, 102.0},
+                           {"hiss", 7000.0, 12000.0}},
+                          TruePose(0.0));
+  const Listening::Output output = run(*all);
+  const auto alone = Create();
+  ExpectSame(OfBand(output, kMainBand), run(*alone).scans);
+  for (const std::uint8_t band : {1, 2, 3}) EXPECT_TRUE(OfBand(output, band).empty());
+  EXPECT_EQ(OfBand(output, 4).size(), OfBand(output, kMainBand).size());
+  const std::vector<std::string> warnings = all->Warnings();
+  ASSERT_EQ(warnings.size(), 3u);
+  EXPECT_EQ(warnings[0],
+            "nothing was heard in the band 'bats', 20000 to 40000 Hz: audio sampled at 16000 Hz "
+            "does not reach it");
+  EXPECT_NE(warnings[1].find("'half'"), std::string::npos);
+  EXPECT_NE(warnings[2].find("no frequency bin lies in the band"), std::string::npos);
 }
 
 }  // namespace

@@ -57,6 +57,19 @@ TEST(Records, ASiteOfBeforeKeepsItsFrames) {
             0);
 }
 
+TEST(Records, ASiteOfBeforeHasNoBands) {
+  SiteRecord record;
+  record.site = "hall";
+  const std::string without = ToJson(record);
+  EXPECT_EQ(without.find("bands"), std::string::npos);
+  EXPECT_TRUE(SiteRecordFromJson(without)->bands.empty());
+  record.bands = {{"hiss", 4000.0, 8000.0}, {"hum", 100.1, 500.0 / 3.0}};
+  EXPECT_EQ(SiteRecordFromJson(ToJson(record))->bands, record.bands);
+  EXPECT_TRUE(absl::IsDataLoss(
+      SiteRecordFromJson(std::string(without).insert(1, "\"bands\":[{\"name\":\"x\"}],"))
+          .status()));
+}
+
 TEST(Records, AnOffsetOfAClockIsReplacedUntilAClockJumps) {
   constexpr std::int64_t kMs_ns = 1'000'000;
   constexpr std::int64_t kHour_ns = 3'600'000 * kMs_ns;
@@ -127,6 +140,8 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   track.source.state = sound_map::SourceState::kSilent;
   track.source.robots = {"r1", "r2"};
   track.source.view_points.resize(2);
+  track.source.view_points[1].spl_scans = 4;
+  track.source.view_points[1].squared_pressure_at_1m[2] = 1.25e12;
   track.source.heard = {{1, 2}, {3, 4}};
   track.log_odds_on = 3.5;
   track.announced = true;
@@ -137,18 +152,27 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   track.mirrors.with = {{3, 20.0}, {9, 1.5}};
   state.scans = {{"r1", 3}};
   state.last_ns = 99;
-  const std::string bytes = EncodeSourceRegister(state);
+  const std::string bytes = EncodeSourceRegisters({state, {}});
   boost::crc_32_type checksum;
   checksum.process_bytes(bytes.data(), bytes.size());
-  EXPECT_EQ(bytes.size(), 1335u);
-  EXPECT_EQ(checksum.checksum(), 0xb8a96628);
-  const auto read = DecodeSourceRegister(bytes);
+  EXPECT_EQ(bytes.size(), 1528u);
+  EXPECT_EQ(checksum.checksum(), 0x74391ad9);
+  const auto read = DecodeSourceRegisters(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
-  ASSERT_EQ(read->tracks.size(), 2u);
-  EXPECT_EQ(read->tracks[1].views.present, track.views.present);
-  EXPECT_EQ(read->tracks[1].views.past_heard, 2.25);
-  EXPECT_EQ(read->tracks[1].mirrors.scans, 40.0);
-  EXPECT_EQ(read->tracks[1].mirrors.with, track.mirrors.with);
+  ASSERT_EQ(read->size(), 2u);
+  EXPECT_EQ(read->front().last_ns, 99);
+  EXPECT_TRUE(read->back().tracks.empty());
+  const auto& tracks = read->front().tracks;
+  ASSERT_EQ(tracks.size(), 2u);
+  EXPECT_EQ(tracks[1].source.view_points, track.source.view_points);
+  EXPECT_EQ(tracks[1].views.present, track.views.present);
+  EXPECT_EQ(tracks[1].views.past_heard, 2.25);
+  EXPECT_EQ(tracks[1].mirrors.scans, 40.0);
+  EXPECT_EQ(tracks[1].mirrors.with, track.mirrors.with);
+
+  // Those of another version are made again from the journal.
+  const std::string before = std::string("\2\0\0\0", 4) + bytes.substr(4);
+  EXPECT_TRUE(absl::IsDataLoss(DecodeSourceRegisters(before).status()));
 }
 
 // Damaged sizes and flags are refused: nothing is made room for that the bytes cannot hold.
@@ -157,13 +181,13 @@ TEST(Archive, NoDamagedByteIsBelieved) {
   state.tracks.resize(2);
   state.tracks[1].source.robots = {"robot"};
   state.tracks[1].source.view_points.resize(2);
-  const std::string bytes = EncodeSourceRegister(state);
+  const std::string bytes = EncodeSourceRegisters({state});
   int refused = 0;
   for (std::size_t i = 0; i < bytes.size(); ++i) {
     for (const char value : {'\2', '\x7f', '\xff'}) {
       std::string damaged = bytes;
       damaged[i] = value;
-      const auto read = DecodeSourceRegister(damaged);
+      const auto read = DecodeSourceRegisters(damaged);
       if (read.ok()) continue;
       EXPECT_TRUE(absl::IsDataLoss(read.status())) << i;
       ++refused;

@@ -267,6 +267,25 @@ TEST(SoundMap, OnlyChangedTilesAreDirty) {
   EXPECT_EQ(map->TakeSnapshot()->TileRevision(TileOf(there.key)), 2u);
 }
 
+TEST(SoundMap, AScanOfAnotherMapIsCountedAndChangesNothing) {
+  const auto map = MakeMap(PaperConfig());
+  map->Skip();
+  EXPECT_EQ(map->revision(), 1u);
+  EXPECT_EQ(map->as_of_ns(), std::nullopt);
+  const EndPoint here{{32768, 32768, 32768}, 0.9f};
+  ASSERT_TRUE(map->Apply({7, {here}}).ok());
+  map->TakeDirtyTiles();
+  const auto before = map->TakeSnapshot();
+  map->Skip();
+  const auto after = map->TakeSnapshot();
+  EXPECT_EQ(before->revision(), 2u);
+  EXPECT_EQ(after->revision(), 3u);
+  EXPECT_EQ(after->as_of_ns(), 7);
+  EXPECT_EQ(after->TileRevision(TileOf(here.key)), 2u);
+  EXPECT_EQ(after->Find(here.key)->update_count, 1u);
+  EXPECT_TRUE(map->TakeDirtyTiles().empty());
+}
+
 // Checkpoint after 100 scans, a crash, the tiles back, the journal again from scan 100: the same
 // bytes as without the crash.
 TEST(SoundMap, TilesAndJournalGiveTheSameMap) {

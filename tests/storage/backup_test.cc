@@ -79,6 +79,8 @@ TEST(Backup, IsTheStoreOfItsMoment) {
   auto store = Store::Open(data, options).value();
   Begin(*store);
   for (int i = 0; i < 10; ++i) Drive(*store);
+  const std::vector<Tile> tiles = {{{1, 2, 3}, "main"}, {{1, 2, 3, 1}, "hiss"}};
+  ASSERT_TRUE(store->PutCheckpoint("hall", tiles, 10, "registers").ok());
   double last_share = -1.0;
   const auto size = BackUp(*store, folder + "/one", [&](double share) {
     EXPECT_GE(share, last_share);
@@ -95,6 +97,19 @@ TEST(Backup, IsTheStoreOfItsMoment) {
   EXPECT_EQ(restored->bytes, size->bytes);
   EXPECT_FALSE(std::filesystem::exists(folder + "/restored/MANIFEST"));
   EXPECT_EQ(ProcessedIn(folder + "/restored"), 100);
+  store = Store::Open(folder + "/restored").value();
+  std::size_t next = 0;
+  EXPECT_EQ(store
+                ->ReadTiles("hall",
+                            [&](const Tile& tile) {
+                              EXPECT_LT(next, tiles.size());
+                              EXPECT_EQ(tile.key, tiles[next].key);
+                              EXPECT_EQ(tile.bytes, tiles[next++].bytes);
+                              return absl::OkStatus();
+                            })
+                .value(),
+            10u);
+  EXPECT_EQ(next, tiles.size());
   store.reset();
   EXPECT_EQ(ProcessedIn(data), 110);
 }

@@ -23,7 +23,8 @@ using ::testing::IsEmpty;
 const SessionId kDrive{"hall", "drive"};
 constexpr std::int64_t kFrames = 100;
 
-// A site with a drive whose log has several segments, a journal, poses, a state and two tiles.
+// A site with a drive whose log has several segments, a journal, poses, a state, two tiles and one
+// of another band.
 std::string MakeData(const std::string& name) {
   const std::string folder = EmptyFolder(name);
   StoreOptions options;
@@ -41,10 +42,13 @@ std::string MakeData(const std::string& name) {
     commit.trajectory.push_back({offset, absl::StrCat("pose ", offset)});
   }
   EXPECT_TRUE(store->CommitBatch(commit).ok());
-  EXPECT_TRUE(store
-                  ->PutCheckpoint("hall", {{{1, 2, 3}, "tile one"}, {{4, 5, 6}, "tile two"}}, 10,
-                                  "register")
-                  .ok());
+  EXPECT_TRUE(
+      store
+          ->PutCheckpoint(
+              "hall",
+              {{{1, 2, 3}, "tile one"}, {{4, 5, 6}, "tile two"}, {{4, 5, 6, 2}, "tile of the hum"}},
+              10, "register")
+          .ok());
   return folder;
 }
 
@@ -77,7 +81,7 @@ TEST(CheckData, FindsNoFaultWhereThereIsNone) {
   EXPECT_GT(check->segments, 2);
   EXPECT_EQ(check->frames, kFrames);
   EXPECT_EQ(check->journal_entries, 10);
-  EXPECT_EQ(check->tiles, 2);
+  EXPECT_EQ(check->tiles, 3);
 }
 
 TEST(CheckData, FramesThatAreNotKeptAreNoFault) {
@@ -234,6 +238,24 @@ TEST(CheckData, WhatDoesNotFitTogetherIsNamed) {
        "is of no table"},
       {"a tile without a place",
        [](Batch& b) { b.Put(Family::kTiles, SiteKey("hall") + "12345", "t"); }, "key of 5 bytes"},
+      {"a tile of the main map with a band",
+       [](Batch& b) {
+         b.Put(Family::kTiles,
+               SiteKey("hall") +
+                   "\x80"
+                   "123456",
+               "t");
+       },
+       "key of 7 bytes that is none"},
+      {"a tile without a band",
+       [](Batch& b) {
+         b.Put(Family::kTiles,
+               SiteKey("hall") +
+                   "\x01"
+                   "123456",
+               "t");
+       },
+       "key of 7 bytes that is none"},
   };
   for (const auto& c : cases) {
     SCOPED_TRACE(c.what);
@@ -265,6 +287,9 @@ TEST(CheckData, TheCallersLookAtTheirBytes) {
     return refuse(bytes);
   };
   content.pose = refuse;
+  content.summary = [&](const std::string& site, const std::string& summary) {
+    return refuse(site + summary);
+  };
   content.tile = [&](const std::string& site, const Tile& tile) {
     return refuse(site + tile.bytes);
   };
@@ -273,7 +298,9 @@ TEST(CheckData, TheCallersLookAtTheirBytes) {
   EXPECT_THAT(faults, Contains("the record hall/drive: no a session"));
   EXPECT_THAT(faults, Contains("a pose of session hall/drive: no pose 20"));
   EXPECT_THAT(faults, Contains("tile 4 5 6 of site hall: no halltile two"));
-  EXPECT_EQ(faults.size(), 2u + 10u + 2u);
+  EXPECT_THAT(faults, Contains("tile 4 5 6 of band 2 of site hall: no halltile of the hum"));
+  EXPECT_THAT(faults, Contains(HasSubstr("of site hall: no hall" + EntryAt(20).summary)));
+  EXPECT_EQ(faults.size(), 2u + 10u + 10u + 3u);
 }
 
 }  // namespace

@@ -97,7 +97,7 @@ class StoreModel : public ::testing::TestWithParam<int> {
     std::vector<Tile> tiles;
     for (std::uint64_t i = Draw(4); i > 0; --i) {
       const auto axis = [this] { return static_cast<std::uint16_t>(254 + Draw(4)); };
-      const TileKey key{axis(), axis(), axis()};
+      const TileKey key{axis(), axis(), axis(), static_cast<std::uint8_t>(Draw(3))};
       tiles.push_back({key, std::string(Draw(3) * 100, static_cast<char>('a' + Draw(26)))});
       if (tiles.back().bytes.empty()) {
         site.tiles.erase(key);

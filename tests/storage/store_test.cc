@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "storage/frame_sequence.h"
+#include "storage/keys.h"
 #include "storage/names.h"
 
 namespace soundmap::storage {
@@ -335,6 +336,66 @@ TEST(Store, CheckpointsReplaceAndRemoveTilesAndNeverGoBack) {
   EXPECT_EQ(tiles,
             (std::vector<std::pair<TileKey, std::string>>{{{0, 9, 0}, "c"}, {{1, 1, 2}, "b"}}));
   EXPECT_EQ(JournalOffsets(*store, "hall").size(), 5u);  // what is behind the checkpoint stays
+}
+
+TEST(Store, TilesOfTheMainMapKeepTheKeysThatTheyHadBeforeThereWereBands) {
+  using namespace std::string_literals;
+  EXPECT_EQ(TileKeyBytes("hall", {0x0102, 0x0304, 0x07ff}), "hall\0\x01\x02\x03\x04\x07\xff"s);
+  EXPECT_EQ(TileKeyBytes("hall", {0x0102, 0x0304, 0x07ff, 1}),
+            "hall\0\x81\x01\x02\x03\x04\x07\xff"s);
+  // Each is read back as what it was, and sorts as it does.
+  std::string before;
+  TileKey last;
+  for (const int band : {0, 1, 2, 8, 127}) {
+    for (const TileKey tile : {TileKey{0, 0, 1}, TileKey{0, 7, 0}, TileKey{2047, 2047, 2047}}) {
+      TileKey key = tile;
+      key.band = static_cast<std::uint8_t>(band);
+      const std::string bytes = TileKeyBytes("hall", key);
+      EXPECT_EQ(TileKeyFromBytes(bytes.substr(5)), key);
+      EXPECT_LT(before, bytes);
+      EXPECT_LT(last, key);
+      before = bytes;
+      last = key;
+    }
+  }
+  EXPECT_LT(before, EndOfPrefix(SiteKey("hall")));
+  for (const std::string& none : {""s, "12345"s, "12345678"s,
+                                  "\x80"
+                                  "123456"s,
+                                  "\x01"
+                                  "123456"s}) {
+    EXPECT_EQ(TileKeyFromBytes(none), std::nullopt) << none;
+  }
+}
+
+TEST(Store, TilesOfBandsAreApartAndGoWithTheirSite) {
+  const std::string folder = EmptyFolder("bands");
+  auto store = OpenStore(folder);
+  Drive(store.get(), {"hall", "drive"}, 50);
+  ASSERT_TRUE(
+      store
+          ->PutCheckpoint("hall",
+                          {{{1, 1, 1, 8}, "hum"}, {{9, 1, 1}, "main"}, {{1, 1, 1, 1}, "hiss"}}, 2)
+          .ok());
+  ASSERT_TRUE(store->PutCheckpoint("hall", {{{9, 1, 1, 1}, "more"}, {{1, 1, 1, 8}, ""}}, 3).ok());
+  EXPECT_TRUE(absl::IsInvalidArgument(store->PutCheckpoint("hall", {{{1, 1, 1, 128}, "x"}}, 4)));
+  store.reset();
+  store = OpenStore(folder);
+  const auto tiles = [&store] {
+    std::vector<std::pair<TileKey, std::string>> tiles;
+    EXPECT_TRUE(store
+                    ->ReadTiles("hall",
+                                [&tiles](const Tile& tile) {
+                                  tiles.emplace_back(tile.key, tile.bytes);
+                                  return absl::OkStatus();
+                                })
+                    .ok());
+    return tiles;
+  };
+  EXPECT_EQ(tiles(), (std::vector<std::pair<TileKey, std::string>>{
+                         {{9, 1, 1}, "main"}, {{1, 1, 1, 1}, "hiss"}, {{9, 1, 1, 1}, "more"}}));
+  ASSERT_TRUE(store->DeleteSite("hall").ok());
+  EXPECT_TRUE(tiles().empty());
 }
 
 TEST(Store, LostFramesOfASessionAreDataLossForItAlone) {

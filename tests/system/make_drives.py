@@ -1,8 +1,13 @@
 """Simulates the drives that the system tests replay: the grill room, shortened, and the same with one thing wrong each."""
 
+import array
 import json
+import math
+import operator
 import pathlib
+import random
 import subprocess
+import wave
 
 from programs import BIN, DRIVES, SOURCE
 
@@ -36,6 +41,29 @@ def room_with(name, **sections):
     return path
 
 
+def write_noise(name, low_hz, high_hz, rate_hz=16000, seconds=2):
+    """Noise of a band, with next to nothing outside of it, as a .wav; its path."""
+    taps = 401
+    middle = taps // 2
+    def low_pass(hz, i):
+        return 2 * hz / rate_hz if i == middle else math.sin(2 * math.pi * hz / rate_hz * (i - middle)) / (math.pi * (i - middle))
+    kernel = [(low_pass(high_hz, i) - low_pass(low_hz, i)) * (0.42 - 0.5 * math.cos(2 * math.pi * i / (taps - 1)) + 0.08 * math.cos(4 * math.pi * i / (taps - 1)))
+              for i in range(taps)]
+    generator = random.Random(name)
+    noise = [generator.gauss(0, 1) for _ in range(seconds * rate_hz)]
+    # Around the end to the beginning: it is played again and again.
+    samples = [sum(map(operator.mul, kernel, window)) for window in
+               ((noise[i:i + taps] if i + taps <= len(noise) else noise[i:] + noise[:i + taps - len(noise)]) for i in range(len(noise)))]
+    scale = 8000 / math.sqrt(sum(sample * sample for sample in samples) / len(samples))
+    path = DRIVES / f"{name}.wav"
+    with wave.open(str(path), "wb") as out:
+        out.setnchannels(1)
+        out.setsampwidth(2)
+        out.setframerate(rate_hz)
+        out.writeframes(array.array("h", (max(-32768, min(32767, round(scale * sample))) for sample in samples)).tobytes())
+    return path
+
+
 def main():
     DRIVES.mkdir(parents=True, exist_ok=True)
     for old in DRIVES.iterdir():
@@ -57,6 +85,10 @@ def main():
     simulate(room_with("pair_moved", sources=[pair[0], room["sources"][4]], seed=3, start_time_s=1.7e9 + 3600), "pair_moved", "--seconds", "60")
     simulate(room_with("pair_people", sources=pair, people=people), "pair_people", "--seconds", "40")
     simulate(room_with("people", sources=[], people=people), "people", "--seconds", "40")
+    # One that hisses and one of a low pitch, neither of which has anything of the other's frequencies.
+    hiss, low = (room["sources"][i] | {"kind": write_noise(name, *edges_hz).name}
+                 for i, name, edges_hz in ((0, "hiss", (4500, 7500)), (5, "low", (800, 2800))))
+    simulate(room_with("two_pitches", sources=[hiss, low]), "two_pitches", "--seconds", "40")
     # An office, which looks the same from no two places.
     simulate("office", "office_mapping", "--mapping")
     simulate("office", "office", "--seconds", "40")

@@ -118,10 +118,10 @@ class ProgramTest(unittest.TestCase):
         self.assertIn(says, lines[0])
         return lines[0]
 
-    def make_site(self, server, site="site", mapping=None, *, profile="default"):
+    def make_site(self, server, site="site", mapping=None, *, profile="default", bands=()):
         """A site with the geometric map of a mapping drive."""
         mapping = mapping or DRIVES / "mapping.mcap"
-        self.ok(server, "soundmap", "site", "create", site, "--profile", profile)
+        self.ok(server, "soundmap", "site", "create", site, "--profile", profile, *(f"--band={band}" for band in bands))
         self.ok(server, "soundmap-robot", "replay", mapping, "--site", site, "--robot", "mapper",
                 "--purpose", "mapping", "--speed", "max", f"--initial-pose={start_pose(mapping)}")
         self.ok(server, "soundmap", "map", "build", site)
@@ -137,17 +137,17 @@ class ProgramTest(unittest.TestCase):
     def sources_json(self, server, site="site"):
         return self.ok(server, "soundmap", "sources", site, "--format", "json")
 
-    def source_history_json(self, server, site="site"):
+    def source_history_json(self, server, site="site", band=""):
         """With everything that is kept of each, also of those that are gone."""
-        return self.ok(server, "soundmap", "sources", site, "--since", "1", "--until", "2100-01-01", "--format", "json")
+        return self.ok(server, "soundmap", "sources", site, "--band", band, "--since", "1", "--until", "2100-01-01", "--format", "json")
 
-    def full_map(self, server, site="site"):
+    def full_map(self, server, site="site", band=""):
         """L, M and U of every voxel, as bytes."""
         path = self.folder / "full.ot"
         with contextlib.suppress(FileNotFoundError):
             path.unlink()
         self.ok(server, "soundmap", "map", "export", site, "--what", "sound", "--format", "ot",
-                "--full", "-o", path)
+                "--full", "--band", band, "-o", path)
         return path.read_bytes()
 
     def sessions(self, server, site="site"):

@@ -30,8 +30,9 @@ class Client {
   // travel unencrypted.
   static absl::StatusOr<Client> Connect(const ClientOptions& options);
 
-  // `profile`: "default" or "paper". AlreadyExists.
-  absl::StatusOr<Site> CreateSite(const std::string& site, const std::string& profile = "default");
+  // `profile`: "default" or "paper"; `bands`: with sound maps of their own. AlreadyExists.
+  absl::StatusOr<Site> CreateSite(const std::string& site, const std::string& profile = "default",
+                                  const std::vector<Band>& bands = {});
   absl::StatusOr<Site> GetSite(const std::string& site);
   absl::StatusOr<std::vector<Site>> ListSites();
   // How long the site keeps the frames of a listening drive from when it was begun; 0: for ever.

@@ -35,6 +35,7 @@ struct ExportMapRequest {
   std::string format;  // "ot", "bt", "ply", "pcd", "mcap", "png", "yaml"
   bool full = false;   // sound, ot: all three voxel fields instead of OctoMap's log-odds
   std::int64_t min_updates = 0;
+  std::string band;  // sound; empty: that of the site's profile
 };
 
 struct ExportedMap {

@@ -12,6 +12,13 @@ namespace soundmap {
 
 // Ids are the last parts of resource names: the site "sites/hall" has the id "hall".
 
+// A range of frequencies of which a site has a sound map of its own.
+struct Band {
+  std::string name;
+  double min_frequency_hz = 0.0;  // both inclusive
+  double max_frequency_hz = 0.0;
+};
+
 // One building with one shared map.
 struct Site {
   std::string id;
@@ -23,6 +30,7 @@ struct Site {
   double max_range_m = 0.0;  // R_max
   // How long the frames of a listening drive are kept from when it was begun; 0: for ever.
   std::int64_t keep_frames_s = 0;
+  std::vector<Band> bands;  // beside that of its profile
 };
 
 enum class Purpose { kUnknown, kListening, kMapping };

@@ -56,6 +56,7 @@ struct SoundSource {
   std::optional<double> spl_db;
   // Where it may be instead: the arrays that heard it cannot tell above from below.
   std::optional<Vector3> mirror_in_map_m;
+  std::string band;  // that it is heard in; empty: that of the site's profile
 };
 
 // What happened to a source, beside the changes of its fields.
@@ -76,6 +77,7 @@ struct SoundSourceList {
   std::int64_t as_of_ns = 0;
 };
 
+// `band` in what follows: the name of one of the site's bands; empty: the band of its profile.
 struct SoundSourceQuery {
   std::string site;
   double min_probability = 0.0;
@@ -84,6 +86,7 @@ struct SoundSourceQuery {
   std::int64_t start_ns = 0;
   std::int64_t end_ns = 0;
   std::vector<SoundSourceState> states;  // empty: all; but those that are gone only with a window
+  std::string band;
 };
 
 struct VoxelQuery {
@@ -91,6 +94,7 @@ struct VoxelQuery {
   std::optional<Box> box_in_map;  // absent: the whole map
   std::int64_t min_updates = 0;
   double min_probability = 0.0;
+  std::string band;
 };
 
 // Columns of equal length, one entry a voxel.
@@ -128,6 +132,7 @@ struct AudioScan {
   double noise_floor = 0.0;  // of S
   std::vector<AudioPeak> peaks;
   std::int64_t end_point_count = 0;
+  std::string band;
 };
 
 struct AudioScanQuery {
@@ -135,6 +140,7 @@ struct AudioScanQuery {
   std::string session;  // empty: all
   std::int64_t start_ns = 0;
   std::int64_t end_ns = 0;  // exclusive; 0: open
+  std::string band;
 };
 
 }  // namespace soundmap

@@ -17,6 +17,7 @@ struct WatchRequest {
   bool robots = false;
   bool audio_scans = false;
   std::string resume_token;  // of the last event seen; empty: from the present state
+  std::string band;          // of the sources and scans; empty: that of the site's profile
 };
 
 struct RemovedSoundSource {
