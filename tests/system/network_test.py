@@ -14,7 +14,7 @@ import time
 import unittest
 import urllib.request
 
-from programs import BIN, DRIVES, ProgramTest, random_moments, start, start_pose
+from programs import BIN, DRIVES, SOURCE, ProgramTest, random_moments, start, start_pose
 
 SHORT = DRIVES / "short.mcap"
 # Drives that the link is cut for are as long as is asked for, and so is the wait for what they give.
@@ -289,7 +289,11 @@ dir = "{self.folder / 'spool'}"
         if CUT_MINUTES:
             # As fast as the disk takes it: what the robot drives meanwhile lies in its spool.
             drive, at_speed = self.folder / "long.mcap", 0
-            subprocess.run([BIN / "soundmap-robot", "simulate", "grill_room", "--seconds", str(round(60 * CUT_MINUTES)), "--out", drive],
+            scene = json.loads((SOURCE / "robot-agent/sources/simulation/scenes/grill_room.json").read_text())
+            scene["path"]["laps"] = math.ceil(60 * CUT_MINUTES / 29)  # of 29.4 s
+            scene_file = self.folder / "long.json"
+            scene_file.write_text(json.dumps(scene))
+            subprocess.run([BIN / "soundmap-robot", "simulate", scene_file, "--seconds", str(60 * CUT_MINUTES), "--out", drive],
                            check=True, stdout=subprocess.DEVNULL)
         undisturbed = self.undisturbed(drive)
         frames = undisturbed[2]
@@ -313,6 +317,7 @@ dir = "{self.folder / 'spool'}"
         backlog_s = session["waiting"] / frames * (result["last_frame_time_ns"] - result["first_frame_time_ns"]) * 1e-9
         print(f"a backlog of {backlog_s:.1f} s was durable after {drained_s:.1f} s and in the map after {in_map_s:.1f} s", file=sys.stderr)
         if CUT_MINUTES:
+            self.assertGreater(backlog_s, 0.9 * 60 * CUT_MINUTES)
             self.assertLess(4 * in_map_s, backlog_s)
 
     def test_a_link_that_loses_every_fifth_packet(self):
