@@ -160,8 +160,7 @@ void AddSiteCommands(CLI::App& app, CommandLine& line) {
             for (const std::string& text : texts) arguments->bands.push_back(ParseBand(text));
           },
           "NAME=MIN-MAX in hertz: a sound map of this band, too, as in hiss=4000-8000; may be "
-          "given "
-          "again")
+          "given again")
       ->allow_extra_args(false);
   add("list", "list the sites", List, false);
   add("show", "show a site and its parameters", Show, true);

@@ -22,8 +22,7 @@ struct Export {
 };
 
 // The files of an ExportMapRequest. InvalidArgument: no such format of this map; NotFound: no such
-// band;
-// FailedPrecondition: the site has no geometric map.
+// band; FailedPrecondition: the site has no geometric map.
 absl::StatusOr<Export> ExportMapFiles(pipeline::Site& site, const v1::ExportMapRequest& request);
 
 }  // namespace soundmap::api

@@ -23,10 +23,9 @@ namespace soundmap::pipeline {
 // One robot's drive, from frames to evidence: localization and acoustics side by side, which meet
 // in ray casting. The robot is heard in the profile's band and in each of the site's bands, side by
 // side: what one gives does not depend on the others. Each frame is given to Localize() and then to
-// Hear(). While the robot does not
-// know where it is, hearing waits: the frames from then on are given to Hear() once it knows where
-// it was, in their order and before the next Localize(). A deterministic function of the frames.
-// Strand-owned.
+// Hear(). While the robot does not know where it is, hearing waits: the frames from then on are
+// given to Hear() once it knows where it was, in their order and before the next Localize(). A
+// deterministic function of the frames. Strand-owned.
 class Listening {
  public:
   // One audio scan that says something about the map.
