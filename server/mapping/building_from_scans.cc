@@ -149,6 +149,14 @@ absl::StatusOr<std::shared_ptr<octomap::OcTree>> CastRays(
     const double done = static_cast<double>(i + 1) / static_cast<double>(scans.size());
     if (progress && !progress(done)) return Cancelled();
   }
+  for (const KeyScan& scan : scans) {
+    const Eigen::Isometry3f map_from_base = scan.map_from_base.cast<float>();
+    rays.clear();
+    for (const Eigen::Vector3f& to : scan.seen_through.to_in_base) {
+      rays.push_back({map_from_base * scan.seen_through.laser_in_base, map_from_base * to});
+    }
+    if (const absl::Status status = grid.FillSeenThrough(rays); !status.ok()) return status;
+  }
   return grid.ToOctree();
 }
 

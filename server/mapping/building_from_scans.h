@@ -37,7 +37,8 @@ absl::Status RelaxScans(std::vector<KeyScan>& scans, std::span<const Eigen::Vect
                         double& mean_residual_m);
 
 // The octree of section II: the rays of all key scans, cast into the voxels that `extend` knows, if
-// it is given.
+// it is given. At the height of the LRF, what no ray of the LIDAR has passed and the LRF has seen
+// through is free, too: near the robot the LIDAR looks over it.
 absl::StatusOr<std::shared_ptr<octomap::OcTree>> CastRays(
     const std::vector<KeyScan>& scans, const octomap::OcTree* extend, double voxel_size_m,
     double surface_voxel_size_m, const OccupancyConfig& config, const ProgressFn& progress);

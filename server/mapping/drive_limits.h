@@ -15,6 +15,9 @@ inline bool IsStamp(frames::TimeNs stamp_ns) { return stamp_ns >= 0 && stamp_ns 
 // Beyond its ends odometry holds for so long.
 inline constexpr double kHoldOdometry_s = 0.2;
 
+// An LRF mounted lower than this is none.
+inline constexpr double kMinLaserHeight_m = 0.05;
+
 // What a robot can do; odometry that claims more is taken as a fault.
 struct MotionLimits {
   double max_speed_mps = 4.0;

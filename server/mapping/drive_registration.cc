@@ -185,6 +185,7 @@ void DriveRegistration::Keep(const PreparedScan& scan, const Isometry3d& map_fro
   KeyScan key_scan;
   key_scan.map_from_base = map_from_base;
   key_scan.lidar_in_base = scan.lidar_in_base;
+  key_scan.seen_through = scan.seen_through;
   for (const std::uint32_t i : FirstPointPerCube(scan.point_in_base, config_.voxel_size_m)) {
     key_scan.point_in_base.push_back(scan.point_in_base[i]);
     key_scan.part.push_back(scan.part[i]);

@@ -14,12 +14,19 @@ namespace soundmap::mapping {
 // A sweep is cut into so many parts of equal time; the LIDAR's place is one for each.
 inline constexpr int kSweepParts = 16;
 
+// What the LRF saw through while a scan was taken: the ways from its place to each of these.
+struct SeenThrough {
+  Eigen::Vector3f laser_in_base = Eigen::Vector3f::Zero();
+  std::vector<Eigen::Vector3f> to_in_base;
+};
+
 // A LIDAR scan that is kept for the map, straightened.
 struct KeyScan {
   Eigen::Isometry3d map_from_base = Eigen::Isometry3d::Identity();
   std::vector<Eigen::Vector3f> point_in_base;  // one a voxel
   std::vector<std::uint8_t> part;              // of the sweep, for each point
   std::array<Eigen::Vector3f, kSweepParts> lidar_in_base;
+  SeenThrough seen_through;  // nothing without an LRF
   // A surveyed pose, or the first of a map: stays where it is.
   bool fixed = false;
 };

@@ -22,9 +22,6 @@ namespace {
 using Eigen::Isometry3d;
 using geometry::Pose2;
 
-// An LRF mounted lower than this is none.
-constexpr double kMinLaserHeight_m = 0.05;
-
 // Levels of the surfaces among which a drive is placed.
 constexpr int kLevels = 3;
 // Between drives, loops are looked for after so much way.
@@ -122,6 +119,8 @@ absl::Status Mapper::Work::Add(const frames::Frame& frame) {
     status = drive.preparation.Add(*odometry);
     if (drives_.size() == 1 && !surveyed_.empty()) surveyed_.Follow(drive.preparation.track());
   } else if (const auto* scan = std::get_if<frames::LidarScan>(&frame)) {
+    status = drive.preparation.Add(*scan);
+  } else if (const auto* scan = std::get_if<frames::LaserScan>(&frame)) {
     status = drive.preparation.Add(*scan);
   } else {
     return status;

@@ -278,6 +278,27 @@ absl::Status OccupancyGrid::MarkScan(std::span<const Ray> rays) {
   return absl::OkStatus();
 }
 
+absl::Status OccupancyGrid::FillSeenThrough(std::span<const Ray> rays) {
+  constexpr double kStep_voxels = 0.5;
+  for (const Ray& ray : rays) {
+    const Eigen::Vector3d origin = ray.origin_in_map.cast<double>();
+    const Eigen::Vector3d way = ray.end_in_map.cast<double>() - origin;
+    const double length_m = way.norm() - ray.margin_m;
+    for (double at_m = 0.0; at_m <= length_m; at_m += kStep_voxels * voxel_size_m_) {
+      const auto key = geometry::KeyFromPoint(origin + at_m / way.norm() * way, voxel_size_m_);
+      if (!key) break;
+      Block* block = BlockAt(key->x, key->y, key->z);
+      if (!block) return Full();
+      const int cell = CellInBlock(key->x, key->y, key->z);
+      if (block->log_odds[cell] > 0) break;
+      if (block->known.Has(cell)) continue;
+      block->known.Set(cell);
+      block->log_odds[cell] = static_cast<std::int16_t>(std::max(miss_, min_));
+    }
+  }
+  return absl::OkStatus();
+}
+
 // Hit by hardly more than one scan, seen through by others and alone: what is left of something
 // that moved.
 bool OccupancyGrid::IsSpeckle(const Block& block, int x, int y, int z) const {

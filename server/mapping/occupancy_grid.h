@@ -52,6 +52,11 @@ class OccupancyGrid {
   // beyond max_blocks.
   absl::Status InsertScan(std::span<const Ray> rays);
 
+  // Makes free what nothing is known of, along each ray as far as no occupied voxel stands in its
+  // way. For a sensor that is less sure than the scans; after the last of them. ResourceExhausted
+  // as InsertScan().
+  absl::Status FillSeenThrough(std::span<const Ray> rays);
+
   // Pruned. A voxel alone that one scan hit and others saw through is free. Each known voxel is as
   // surely occupied or free as OctoMap allows (its clamping thresholds).
   std::shared_ptr<octomap::OcTree> ToOctree() const;

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
+
+#include "mapping/laser_points.h"
 
 namespace soundmap::mapping {
 namespace {
@@ -12,6 +15,20 @@ using geometry::Pose2;
 // Scans that wait for the odometry of their end; more than this and the odometry is taken to have
 // ended.
 constexpr std::size_t kMaxWaitingScans = 32;
+
+// Scans of the LRF among which those of the LIDAR that wait find the one of their time.
+constexpr std::size_t kMaxLaserScans = 256;
+constexpr std::size_t kMaxBeams = 20'000;
+constexpr TimeNs kMaxApart_ns = 100'000'000;
+// An LRF that is tilted more sees more than one height.
+constexpr double kMaxTilt_rad = 0.02;
+// Of a beam of the LRF its last part is not taken as free: so much, and what the beam is off where
+// the scan's stamp is this much later than the odometry's of the same moment.
+constexpr double kLaserMargin_m = 0.1;
+constexpr double kMaxLag_s = 0.1;
+// Nor what lies beyond the readings of so many beams on either side: LRFs give readings now and
+// then that are too far.
+constexpr std::size_t kBesides = 2;
 
 }  // namespace
 
@@ -66,6 +83,16 @@ absl::Status ScanPreparation::Add(const frames::LidarScan& scan) {
   return absl::OkStatus();
 }
 
+absl::Status ScanPreparation::Add(const frames::LaserScan& scan) {
+  if (!IsStamp(scan.stamp_ns) || !std::isfinite(scan.start_angle_rad) ||
+      !std::isfinite(scan.angle_increment_rad) || scan.range_m.size() > kMaxBeams) {
+    return absl::InvalidArgumentError("an LRF scan's stamp, angles or beams are out of range");
+  }
+  laser_scans_.push_back(scan);
+  if (laser_scans_.size() > kMaxLaserScans) laser_scans_.pop_front();
+  return absl::OkStatus();
+}
+
 std::optional<PreparedScan> ScanPreparation::Next(bool end) {
   while (!waiting_.empty()) {
     const bool covered = !track_.empty() && track_.newest_ns() >= waiting_.front().end_ns;
@@ -111,7 +138,50 @@ std::optional<PreparedScan> ScanPreparation::Prepare(const Waiting& waiting) {
     prepared.lidar_in_base[part] =
         (base_from_part.ToIsometry() * calibration_.base_from_lidar).translation().cast<float>();
   }
+  prepared.seen_through = SeenThroughAt(prepared.stamp_ns);
   return prepared;
+}
+
+SeenThrough ScanPreparation::SeenThroughAt(TimeNs time_ns) const {
+  const frames::LaserScan* nearest = nullptr;
+  TimeNs apart_ns = kMaxApart_ns;
+  for (const frames::LaserScan& scan : laser_scans_) {
+    const TimeNs distance_ns = std::abs(scan.stamp_ns - time_ns);
+    if (distance_ns > apart_ns) continue;
+    nearest = &scan;
+    apart_ns = distance_ns;
+  }
+  const Eigen::Isometry3d& mount = calibration_.base_from_laser;
+  const bool is_level = mount.linear().col(2).head<2>().norm() <= kMaxTilt_rad;
+  const auto then = track_.Near(time_ns - frames::NsFromSeconds(kMaxLag_s), kHoldOdometry_s);
+  const auto now = track_.Near(time_ns, kHoldOdometry_s);
+  if (!nearest || !is_level || mount.translation().z() < kMinLaserHeight_m || !then || !now) {
+    return {};
+  }
+  const auto points = PointsOf(*nearest, calibration_, 0.0, config_.max_range_m, track_,
+                               /*lag_ns=*/0, time_ns);
+  if (!points) return {};
+  const Pose2 moved = then->Inverse() * *now;
+  const double margin_m = kLaserMargin_m + std::hypot(moved.x_m, moved.y_m);
+
+  SeenThrough seen;
+  const auto height_m = static_cast<float>(mount.translation().z());
+  const Eigen::Vector2f laser = 0.5f * (points->laser_begin_in_base + points->laser_end_in_base);
+  seen.laser_in_base = {laser.x(), laser.y(), height_m};
+  for (std::size_t i = kBesides; i + kBesides < points->point_in_base.size(); ++i) {
+    const std::size_t first = i - kBesides, last = i + kBesides;
+    if (points->beam[last] - points->beam[first] != 2 * kBesides) continue;
+    double range_m = config_.max_range_m;
+    for (std::size_t j = first; j <= last; ++j) {
+      range_m = std::min<double>(range_m, (points->point_in_base[j] - laser).norm());
+    }
+    const double free_m = range_m * (1.0 - std::abs(moved.yaw_rad)) - margin_m;
+    if (!(free_m > 0.0)) continue;
+    const Eigen::Vector2f direction = (points->point_in_base[i] - laser).normalized();
+    const Eigen::Vector2f to = laser + static_cast<float>(free_m) * direction;
+    seen.to_in_base.emplace_back(to.x(), to.y(), height_m);
+  }
+  return seen;
 }
 
 }  // namespace soundmap::mapping

@@ -28,9 +28,10 @@ struct PreparedScan {
   std::vector<Eigen::Vector3f> point_in_base;
   std::vector<std::uint8_t> part;  // of the sweep, for each point
   std::array<Eigen::Vector3f, kSweepParts> lidar_in_base;
+  SeenThrough seen_through;
 };
 
-// One drive's LIDAR and odometry, brought together in time. Scans wait until the odometry has
+// One drive's LIDAR, LRF and odometry, brought together in time. Scans wait until the odometry has
 // covered them. Bounded.
 class ScanPreparation {
  public:
@@ -40,6 +41,7 @@ class ScanPreparation {
   // InvalidArgument: a malformed frame; it is left out.
   absl::Status Add(const frames::Odometry& odometry);
   absl::Status Add(const frames::LidarScan& scan);
+  absl::Status Add(const frames::LaserScan& scan);
 
   // The next scan in order of time; none until the odometry has come. At the `end` of a drive those
   // that wait still come as far as the odometry reaches.
@@ -60,6 +62,7 @@ class ScanPreparation {
   };
 
   std::optional<PreparedScan> Prepare(const Waiting& waiting);
+  SeenThrough SeenThroughAt(frames::TimeNs time_ns) const;
 
   ScanPreparationConfig config_;
   frames::Calibration calibration_;
@@ -69,6 +72,7 @@ class ScanPreparation {
   frames::TimeNs jump_begin_ns_ = 0;
   frames::TimeNs jump_end_ns_ = 0;
   std::deque<Waiting> waiting_;
+  std::deque<frames::LaserScan> laser_scans_;  // the newest
   std::optional<frames::TimeNs> last_ns_;
   int scans_ = 0;
   int dropped_ = 0;  // includes the following two

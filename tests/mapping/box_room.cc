@@ -157,6 +157,25 @@ frames::Calibration DriveModel::Calibration() const {
   return calibration;
 }
 
+frames::LaserScan LaserScanAt(const World& world, const DriveModel& model, double time_s,
+                              std::mt19937& random) {
+  const Eigen::Isometry3d map_from_laser =
+      model.MapFromBase(time_s).ToIsometry() * model.Calibration().base_from_laser;
+  frames::LaserScan scan;
+  scan.stamp_ns = kDriveStart_ns + std::llround((time_s + model.laser_stamp_late_s) * 1e9);
+  scan.angle_increment_rad = 2 * kPi / model.laser_beams;
+  std::bernoulli_distribution is_outlier(model.laser_outlier_share);
+  for (int beam = 0; beam < model.laser_beams; ++beam) {
+    const double angle_rad = beam * scan.angle_increment_rad;
+    const Eigen::Vector3d direction =
+        map_from_laser.linear() * Eigen::Vector3d(std::cos(angle_rad), std::sin(angle_rad), 0.0);
+    const double range_m =
+        is_outlier(random) ? 20.0 : world(map_from_laser.translation(), direction);
+    scan.range_m.push_back(static_cast<float>(range_m));
+  }
+  return scan;
+}
+
 std::vector<frames::Frame> SimulateDrive(const World& world, const DriveModel& model,
                                          unsigned seed) {
   std::mt19937 random(seed);
@@ -173,6 +192,7 @@ std::vector<frames::Frame> SimulateDrive(const World& world, const DriveModel& m
     }
     drive.emplace_back(
         frames::Odometry{kDriveStart_ns + std::llround(time_s * 1e9), odom_from_base});
+    if (model.laser_beams > 0) drive.emplace_back(LaserScanAt(world, model, time_s, random));
     if (time_s < next_lidar_s || time_s + model.lidar_period_s > model.duration_s) continue;
     frames::LidarScan scan;
     scan.stamp_ns = kDriveStart_ns + std::llround(time_s * 1e9);

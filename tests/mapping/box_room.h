@@ -44,6 +44,9 @@ struct DriveModel {
   int rings = 24;
   int columns = 240;
   double range_noise_m = 0.0;
+  int laser_beams = 0;               // of a scan of the LRF all around, 20 times a second
+  double laser_outlier_share = 0.0;  // readings of 20 m instead
+  double laser_stamp_late_s = 0.0;
   // Odometry: part of the way and of the turn that is lost.
   double odometry_scale = 1.0;
   double odometry_yaw_scale = 1.0;

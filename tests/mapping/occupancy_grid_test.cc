@@ -176,6 +176,45 @@ TEST(OccupancyGrid, LeavesOutRaysThatAreNotInTheMap) {
   EXPECT_EQ(At(*grid.ToOctree(), {1.01, 1.01, 1.01}), Cell::kOccupied);
 }
 
+TEST(OccupancyGrid, WhatIsSeenThroughBecomesFreeUpToWhatIsOccupied) {
+  OccupancyGrid grid(kVoxel_m, {});
+  ASSERT_TRUE(
+      grid.InsertScan(std::vector<Ray>{{{0.98f, 0.98f, 0.02f}, {0.98f, 0.02f, 0.02f}}}).ok());
+  ASSERT_TRUE(
+      grid.FillSeenThrough(std::vector<Ray>{{{0.02f, 0.02f, 0.02f}, {2.02f, 0.02f, 0.02f}},
+                                            {{0.02f, 0.48f, 0.02f}, {2.02f, 0.48f, 0.02f}, 0.5f}})
+          .ok());
+  const auto octree = grid.ToOctree();
+  EXPECT_EQ(At(*octree, {0.02, 0.02, 0.02}), Cell::kFree);
+  EXPECT_EQ(At(*octree, {0.93, 0.02, 0.02}), Cell::kFree);
+  EXPECT_EQ(At(*octree, {0.98, 0.02, 0.02}), Cell::kOccupied);
+  EXPECT_EQ(At(*octree, {1.03, 0.02, 0.02}), Cell::kUnknown);
+  EXPECT_EQ(At(*octree, {1.48, 0.48, 0.02}), Cell::kFree);
+  EXPECT_EQ(At(*octree, {1.58, 0.48, 0.02}), Cell::kUnknown);
+  EXPECT_EQ(At(*octree, {0.5, 0.25, 0.02}), Cell::kUnknown);
+}
+
+TEST(OccupancyGrid, SeeingThroughIsNoMatchForAScan) {
+  OccupancyGrid grid(kVoxel_m, {});
+  const std::vector<Ray> wall = {{{1.02f, 0.5f, 0.02f}, {1.02f, 0.02f, 0.02f}}};
+  const std::vector<Ray> through = {{{0.02f, 0.02f, 0.02f}, {2.02f, 0.02f, 0.02f}}};
+  ASSERT_TRUE(grid.InsertScan(wall).ok());
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(grid.FillSeenThrough(through).ok());
+  EXPECT_EQ(At(*grid.ToOctree(), {1.02, 0.02, 0.02}), Cell::kOccupied);
+}
+
+TEST(OccupancyGrid, SeeingThroughLeavesOutWhatIsNotInTheMapAndHasItsLimit) {
+  OccupancyGrid grid(kVoxel_m, {.max_blocks = 10});
+  const float nan = std::nanf("");
+  EXPECT_TRUE(grid.FillSeenThrough(std::vector<Ray>{{{0, 0, 0}, {nan, 0, 0}},
+                                                    {{nan, 0, 0}, {0, 0, 0}},
+                                                    {{1e6f, 0, 0}, {0, 0, 0}},
+                                                    {{1, 1, 1}, {1, 1, 1}}})
+                  .ok());
+  EXPECT_EQ(grid.FillSeenThrough(std::vector<Ray>{{{0, 0, 0}, {0, 200, 0}}}).code(),
+            absl::StatusCode::kResourceExhausted);
+}
+
 TEST(OccupancyConfig, IsValidated) {
   EXPECT_TRUE(OccupancyConfig{}.Validate().ok());
   EXPECT_FALSE(OccupancyConfig{.hit_log_odds = 0.0}.Validate().ok());
