@@ -28,7 +28,7 @@ struct Sent {
   std::string message;
 };
 
-Sent Audio(int block) {
+Sent Audio(std::int64_t block) {
   std::vector<std::int16_t> samples(kMicrophones * 800);
   for (std::size_t i = 0; i < samples.size(); ++i) {
     samples[i] = static_cast<std::int16_t>((i * 7 + static_cast<std::size_t>(block)) % 300);

@@ -2,9 +2,7 @@
 
 import json
 import math
-import queue
 import subprocess
-import threading
 import unittest
 
 from programs import BIN, DRIVES, ProgramTest, start
@@ -34,13 +32,8 @@ class BandsTest(ProgramTest):
         self.make_site(plain)
         watch = start(server, "soundmap", "watch", "site", "--sources", "--scans", "--band", "hiss")
         self.addCleanup(watch.communicate)
-        # Read as it comes: a watcher that is blocked is told to begin anew.
-        events = queue.SimpleQueue()
-        reader = threading.Thread(target=lambda: [events.put(json.loads(line)) for line in watch.stdout])
-        reader.start()
-        self.addCleanup(reader.join)
         self.addCleanup(watch.terminate)
-        while events.get(timeout=300)["event"] != "snapshot_complete":
+        while json.loads(watch.stdout.readline())["event"] != "snapshot_complete":
             pass
         for each in (server, plain):
             self.replay(each, DRIVES / "two_pitches.mcap")
@@ -63,9 +56,11 @@ class BandsTest(ProgramTest):
             self.assertEqual(len([warning for warning in warnings if "'bats'" in warning]), said, warnings)
         # Who watched was told of the one band.
         while True:
-            event = events.get(timeout=300)
+            event = json.loads(watch.stdout.readline())
             if event["event"] == "audio_scan":
                 self.assertEqual(event["band"], "hiss")
+            elif event["event"] == "sound_source_removed":
+                self.assertTrue(event["id"].startswith("hiss-"), event)
             else:
                 self.assertEqual(event["sound_source"]["band"], "hiss")
             if event["event"] == "source_appeared":
