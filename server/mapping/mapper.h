@@ -78,9 +78,9 @@ struct MappingResult {
 // each drive. Each LIDAR sweep is straightened by the odometry and aligned in 6 degrees of freedom,
 // of which the flat floor nearly holds three, to the surfaces around; places seen again close loops
 // in a pose graph. Finish() brings the drives together, relaxes all kept scans against each other
-// and casts their rays into the octree. The paper does this by 3DTK. Deterministic. Memory is
-// bounded by the building and the number of drives, except 200 bytes of path a scan. One thread at
-// a time.
+// and casts their rays into the octree; what the LIDAR looks over near the robot is free where an
+// LRF looks through it. The paper does this by 3DTK. Deterministic. Memory is bounded by the
+// building and the number of drives, except 200 bytes of path a scan. One thread at a time.
 class Mapper {
  public:
   // The first drive. `map_from_base` is the robot's pose at the first odometry of the drive and

@@ -157,6 +157,8 @@ frames::Calibration DriveModel::Calibration() const {
   return calibration;
 }
 
+namespace {
+
 frames::LaserScan LaserScanAt(const World& world, const DriveModel& model, double time_s,
                               std::mt19937& random) {
   const Eigen::Isometry3d map_from_laser =
@@ -175,6 +177,8 @@ frames::LaserScan LaserScanAt(const World& world, const DriveModel& model, doubl
   }
   return scan;
 }
+
+}  // namespace
 
 std::vector<frames::Frame> SimulateDrive(const World& world, const DriveModel& model,
                                          unsigned seed) {

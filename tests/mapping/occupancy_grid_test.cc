@@ -194,15 +194,6 @@ TEST(OccupancyGrid, WhatIsSeenThroughBecomesFreeUpToWhatIsOccupied) {
   EXPECT_EQ(At(*octree, {0.5, 0.25, 0.02}), Cell::kUnknown);
 }
 
-TEST(OccupancyGrid, SeeingThroughIsNoMatchForAScan) {
-  OccupancyGrid grid(kVoxel_m, {});
-  const std::vector<Ray> wall = {{{1.02f, 0.5f, 0.02f}, {1.02f, 0.02f, 0.02f}}};
-  const std::vector<Ray> through = {{{0.02f, 0.02f, 0.02f}, {2.02f, 0.02f, 0.02f}}};
-  ASSERT_TRUE(grid.InsertScan(wall).ok());
-  for (int i = 0; i < 20; ++i) ASSERT_TRUE(grid.FillSeenThrough(through).ok());
-  EXPECT_EQ(At(*grid.ToOctree(), {1.02, 0.02, 0.02}), Cell::kOccupied);
-}
-
 TEST(OccupancyGrid, SeeingThroughLeavesOutWhatIsNotInTheMapAndHasItsLimit) {
   OccupancyGrid grid(kVoxel_m, {.max_blocks = 10});
   const float nan = std::nanf("");
