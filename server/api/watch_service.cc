@@ -56,6 +56,9 @@ class WatchService::Stream : public grpc::ServerWriteReactor<v1::WatchEvent>,
 
   void Start(const std::string& resume_token) {
     alive_ = shared_from_this();
+    // With a first event that may wait for others to be sent, the metadata would wait, and the
+    // others for it.
+    StartSendInitialMetadata();
     absl::string_view position = resume_token;
     const bool ours = absl::ConsumePrefix(&position, token_prefix_) &&
                       absl::SimpleAtoi(position, &next_) &&

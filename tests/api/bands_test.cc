@@ -2,24 +2,20 @@
 #include <grpcpp/grpcpp.h>
 #include <gtest/gtest.h>
 
-#include <boost/asio/thread_pool.hpp>
 #include <chrono>
 #include <cmath>
 #include <filesystem>
+#include <optional>
 #include <set>
 #include <tuple>
 #include <vector>
 
-#include "api/access.h"
-#include "api/server.h"
 #include "pipeline/archive.h"
-#include "pipeline/operations.h"
-#include "pipeline/sites.h"
 #include "soundmap/v1/map_service.grpc.pb.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
 #include "soundmap/v1/sound_map_service.grpc.pb.h"
 #include "soundmap/v1/watch_service.grpc.pb.h"
-#include "storage/store.h"
+#include "tests/api/test_server.h"
 
 // A whole gRPC server, and a site that has heard one thing in each band.
 namespace soundmap::api {
@@ -49,42 +45,15 @@ class BandsTest : public ::testing::Test {
  protected:
   void SetUp() override {
     std::filesystem::remove_all(folder_);
-    store_ = storage::Store::Open(folder_.string()).value();
-    pipeline::Sites::Options options;
-    options.executor = pool_.get_executor();
-    options.decode = [](const recording::Message&,
-                        const frames::Calibration&) -> absl::StatusOr<pipeline::Session::Decoded> {
-      return absl::InvalidArgumentError("no frames are sent here");
-    };
-    options.profile = pipeline::ProfileByName;
-    options.now_ns = [] { return std::int64_t{1}; };
-    sites_ = pipeline::Sites::Open(store_.get(), std::move(options)).value();
-    operations_ = std::make_unique<pipeline::Operations>([] { return std::int64_t{1}; },
-                                                         pool_.get_executor());
-    access_ = Access::Create({}, [] { return std::int64_t{1}; }).value();
-    Server::Parts parts;
-    parts.sites = sites_.get();
-    parts.operations = operations_.get();
-    parts.access = access_.get();
-    parts.store = store_.get();
-    parts.executor = pool_.get_executor();
-    parts.now_ns = [] { return std::int64_t{1}; };
-    parts.server_id = "test";
-    server_ = Server::Start("127.0.0.1:0", {}, parts).value();
-    const auto channel =
-        grpc::CreateChannel(server_->address(), grpc::InsecureChannelCredentials());
+    server_.emplace(TestServer::Options{.folder = folder_.string()});
+    const auto channel = server_->Channel();
     site_service_ = v1::SiteService::NewStub(channel);
     maps_ = v1::SoundMapService::NewStub(channel);
     files_ = v1::MapService::NewStub(channel);
     watches_ = v1::WatchService::NewStub(channel);
   }
   void TearDown() override {
-    server_->Shutdown();
     server_.reset();
-    operations_.reset();
-    sites_.reset();
-    store_.reset();
-    pool_.join();
     std::filesystem::remove_all(folder_);
   }
 
@@ -108,8 +77,8 @@ class BandsTest : public ::testing::Test {
   }
   // All bands in turns, as they come from a robot.
   void Hear(int first_scan, int end_scan) {
-    const auto site = sites_->Get("hall").value();
-    auto log = store_->OpenSession({"hall", "drive"}).value();
+    const auto site = server_->sites().Get("hall").value();
+    auto log = server_->store().OpenSession({"hall", "drive"}).value();
     storage::Commit commit{"hall", "drive"};
     for (int k = first_scan; k < end_scan; ++k) {
       recording::Message frame;
@@ -159,12 +128,7 @@ class BandsTest : public ::testing::Test {
   const std::filesystem::path folder_ =
       std::filesystem::path(::testing::TempDir()) /
       ::testing::UnitTest::GetInstance()->current_test_info()->name();
-  boost::asio::thread_pool pool_{2};
-  std::unique_ptr<storage::Store> store_;
-  std::unique_ptr<pipeline::Sites> sites_;
-  std::unique_ptr<pipeline::Operations> operations_;
-  std::unique_ptr<Access> access_;
-  std::unique_ptr<Server> server_;
+  std::optional<TestServer> server_;
   std::unique_ptr<v1::SiteService::Stub> site_service_;
   std::unique_ptr<v1::SoundMapService::Stub> maps_;
   std::unique_ptr<v1::MapService::Stub> files_;

@@ -8,23 +8,20 @@
 
 #include <algorithm>
 #include <atomic>
-#include <boost/asio/thread_pool.hpp>
 #include <cstdlib>
 #include <latch>
 #include <map>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "api/server.h"
 #include "pipeline/events.h"
-#include "pipeline/operations.h"
-#include "pipeline/sites.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
 #include "soundmap/v1/watch_service.grpc.pb.h"
-#include "storage/store.h"
+#include "tests/api/test_server.h"
 
 namespace soundmap::api {
 namespace {
@@ -84,46 +81,21 @@ class BusyServerTest : public testing::Test {
   }
 
   BusyServerTest() {
-    const auto now_ns = [] { return std::int64_t{1}; };
-    store_ = storage::Store::Open(::testing::TempDir() + "/busy").value();
-    pipeline::Sites::Options options;
-    options.executor = pool_.get_executor();
+    TestServer::Options options;
+    options.folder = absl::StrCat(
+        ::testing::TempDir(), "/", ::testing::UnitTest::GetInstance()->current_test_info()->name());
     options.profile = [this](const std::string& name) {
       ++asked_;
       if (name == "slow") go_on_.wait();
       return pipeline::ProfileByName("default");
     };
-    options.now_ns = now_ns;
-    sites_ = pipeline::Sites::Open(store_.get(), std::move(options)).value();
-    operations_ = std::make_unique<pipeline::Operations>(now_ns, pool_.get_executor());
-    access_ = Access::Create({}, now_ns).value();
-    Server::Parts parts;
-    parts.sites = sites_.get();
-    parts.operations = operations_.get();
-    parts.access = access_.get();
-    parts.store = store_.get();
-    parts.executor = pool_.get_executor();
-    parts.now_ns = now_ns;
-    parts.server_id = "test";
-    server_ = Server::Start("127.0.0.1:0", {}, parts).value();
-    channel_ = grpc::CreateChannel(server_->address(), grpc::InsecureChannelCredentials());
-  }
-  ~BusyServerTest() override {
-    server_->Shutdown();
-    server_.reset();
-    operations_.reset();
-    sites_.reset();
-    pool_.join();
+    server_.emplace(options);
+    channel_ = server_->Channel();
   }
 
-  boost::asio::thread_pool pool_{2};
   std::atomic<int> asked_ = 0;
   std::latch go_on_{1};
-  std::unique_ptr<storage::Store> store_;
-  std::unique_ptr<pipeline::Sites> sites_;
-  std::unique_ptr<pipeline::Operations> operations_;
-  std::unique_ptr<Access> access_;
-  std::unique_ptr<Server> server_;
+  std::optional<TestServer> server_;
   std::shared_ptr<grpc::Channel> channel_;
 };
 
@@ -164,7 +136,7 @@ TEST_F(BusyServerTest, PeersAreAnsweredWhileEveryCallTakesLong) {
 // A watcher is told the newest state of a robot, not all states that it had in between.
 TEST_F(BusyServerTest, AWatcherGetsTheNewestStateOfARobotAndEveryScan) {
   constexpr int kScans = 100;
-  const auto site = sites_->Create("hall", "", "").value();
+  const auto site = server_->sites().Create("hall", "", "").value();
   grpc::ClientContext context;
   context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(30));
   v1::WatchRequest request;
@@ -217,6 +189,42 @@ TEST_F(BusyServerTest, AWatcherGetsTheNewestStateOfARobotAndEveryScan) {
   EXPECT_LT(states, 2 * kScans);
   EXPECT_LT(live_states, kScans);
   context.TryCancel();
+}
+
+// Whether its connection is used for anything else or not.
+TEST_F(BusyServerTest, AWatcherThatComesBackGetsWhatItMissedAtOnce) {
+  const auto site = server_->sites().Create("hall", "", "").value();
+  const auto stub = v1::WatchService::NewStub(channel_);
+  // The server's next ping, which takes along what lies unsent, is 20 s away.
+  const auto deadline = std::chrono::system_clock::now() + std::chrono::seconds(15);
+  v1::WatchRequest request;
+  request.set_site("sites/hall");
+  v1::WatchEvent event;
+  {
+    grpc::ClientContext context;
+    context.set_deadline(deadline);
+    const auto watch = stub->Watch(&context, request);
+    while (watch->Read(&event) && !event.has_snapshot_complete()) {
+    }
+    request.set_resume_token(event.resume_token());
+    context.TryCancel();
+  }
+  constexpr int kScans = 5;
+  for (int i = 0; i < kScans; ++i) {
+    pipeline::AudioScanInfo scan;
+    scan.time_ns = i;
+    site->region().events().Publish(scan);
+  }
+  for (int again = 0; again < 20; ++again) {
+    grpc::ClientContext context;
+    context.set_deadline(deadline);
+    const auto watch = stub->Watch(&context, request);
+    for (int i = 0; i < kScans; ++i) {
+      ASSERT_TRUE(watch->Read(&event)) << "time " << again << ", event " << i;
+      EXPECT_EQ(event.audio_scan().time_ns(), i);
+    }
+    context.TryCancel();
+  }
 }
 
 }  // namespace

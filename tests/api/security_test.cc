@@ -6,30 +6,24 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
-#include <boost/asio/thread_pool.hpp>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <sstream>
 #include <thread>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "api/access.h"
-#include "api/decode_frame.h"
-#include "api/server.h"
 #include "google/rpc/status_details.pb.h"
-#include "pipeline/operations.h"
-#include "pipeline/profile.h"
-#include "pipeline/sites.h"
 #include "soundmap/v1/ingest_service.grpc.pb.h"
 #include "soundmap/v1/live_service.pb.h"
 #include "soundmap/v1/map_service.grpc.pb.h"
 #include "soundmap/v1/session_service.grpc.pb.h"
 #include "soundmap/v1/site_service.grpc.pb.h"
-#include "storage/store.h"
+#include "tests/api/test_server.h"
 
 // A whole gRPC server with TLS and tokens, and clients of all kinds. The credentials are those that
 // deploy/credentials makes.
@@ -113,53 +107,24 @@ class SecurityTest : public testing::Test {
   }
   static std::string File(const std::string& name) { return absl::StrCat(*folder_, "/", name); }
 
-  SecurityTest() : data_(::testing::TempDir() + "/data"), pool_(2) {}
+  SecurityTest() {
+    options_.folder = ::testing::TempDir() + "/data";
+    options_.now_ns = [] { return absl::ToUnixNanos(absl::Now()); };
+    options_.access.robots_by_certificate = true;
+    options_.access.audit_log = options_.folder + ".audit";
+  }
 
   void SetUp() override {
-    tls_ = {File("server.pem"), File("server-key.pem"), File("ca.pem")};
-    Start();
+    options_.access.token_file = File("tokens.toml");
+    options_.tls = {File("server.pem"), File("server-key.pem"), File("ca.pem")};
+    server_.emplace(options_);
     for (const char* site : {"a", "b"}) {
-      ASSERT_TRUE(sites_->Create(site, "default", "").ok());
+      ASSERT_TRUE(server_->sites().Create(site, "default", "").ok());
     }
   }
-
-  void Start() {
-    const auto now_ns = [] { return absl::ToUnixNanos(absl::Now()); };
-    store_ = storage::Store::Open(data_).value();
-    pipeline::Sites::Options options;
-    options.executor = pool_.get_executor();
-    options.decode = [](const recording::Message& message, const frames::Calibration& calibration) {
-      return DecodeFrame(message.schema, message.data, calibration);
-    };
-    options.profile = [](const std::string& name) { return pipeline::ProfileByName(name); };
-    options.now_ns = now_ns;
-    sites_ = pipeline::Sites::Open(store_.get(), std::move(options)).value();
-    operations_ = std::make_unique<pipeline::Operations>(now_ns, pool_.get_executor());
-    access_options_.token_file = File("tokens.toml");
-    access_options_.robots_by_certificate = true;
-    access_options_.audit_log = data_ + ".audit";
-    access_ = Access::Create(access_options_, now_ns).value();
-    Server::Parts parts;
-    parts.sites = sites_.get();
-    parts.operations = operations_.get();
-    parts.access = access_.get();
-    parts.store = store_.get();
-    parts.executor = pool_.get_executor();
-    parts.now_ns = now_ns;
-    parts.server_id = "test";
-    parts.import_patience = import_patience_;
-    server_ = Server::Start("127.0.0.1:0", tls_, parts).value();
-  }
-
   void TearDown() override {
-    if (server_) server_->Shutdown();
     server_.reset();
-    operations_.reset();
-    sites_->Stop();
-    sites_.reset();
-    pool_.join();
-    store_.reset();
-    std::filesystem::remove_all(data_);
+    std::filesystem::remove_all(options_.folder);
   }
 
   // With the certificate of `robot`, if one is named; `from`: the folder that holds it.
@@ -272,16 +237,8 @@ class SecurityTest : public testing::Test {
   }
 
   static inline const std::string* folder_ = nullptr;
-  const std::string data_;
-  TlsFiles tls_;
-  Access::Options access_options_;
-  std::chrono::milliseconds import_patience_ = std::chrono::seconds(30);
-  boost::asio::thread_pool pool_;
-  std::unique_ptr<storage::Store> store_;
-  std::unique_ptr<pipeline::Sites> sites_;
-  std::unique_ptr<pipeline::Operations> operations_;
-  std::unique_ptr<Access> access_;
-  std::unique_ptr<Server> server_;
+  TestServer::Options options_;
+  std::optional<TestServer> server_;
 };
 
 TEST_F(SecurityTest, NoCallWithoutCredentials) {
@@ -311,14 +268,14 @@ TEST_F(SecurityTest, NoCallReachesTheSiteOfOthers) {
   EXPECT_TRUE(ListSites(channel, "a-admin", &names).ok());
   EXPECT_EQ(names, std::vector<std::string>{"sites/a"});
   ASSERT_TRUE(CreateSession(channel, "write", "b", "r9").ok());
-  EXPECT_EQ(access_->refusals(Access::Refusal::kUnauthenticated), 0);
+  EXPECT_EQ(server_->access().refusals(Access::Refusal::kUnauthenticated), 0);
 }
 
 TEST_F(SecurityTest, WhoReadsChangesNothing) {
   const auto channel = Channel();
   google::protobuf::DynamicMessageFactory factory;
   const auto operation =
-      operations_->Start("work", "a", "", [](auto&) { return std::string(); }).value();
+      server_->operations().Start("work", "a", "", [](auto&) { return std::string(); }).value();
   for (const MethodDescriptor* method : Methods()) {
     const std::string& name = method->name();
     bool reads = false;
@@ -395,10 +352,7 @@ TEST_F(SecurityTest, BadCertificatesDoNotConnect) {
               AnyOf(grpc::StatusCode::UNAVAILABLE, grpc::StatusCode::UNAUTHENTICATED));
   // Plain text is not heard.
   grpc::ChannelArguments arguments;
-  EXPECT_EQ(
-      ListSites(grpc::CreateChannel(server_->address(), grpc::InsecureChannelCredentials()), "read")
-          .error_code(),
-      grpc::StatusCode::UNAVAILABLE);
+  EXPECT_EQ(ListSites(server_->Channel(), "read").error_code(), grpc::StatusCode::UNAVAILABLE);
   EXPECT_TRUE(ListSites(Channel("r1"), "").ok());
   EXPECT_TRUE(ListSites(Channel(), "read").ok());
 }
@@ -473,7 +427,7 @@ TEST_F(SecurityTest, AThirdImportAtATimeIsRefused) {
 
 class ImpatientServerTest : public SecurityTest {
  protected:
-  ImpatientServerTest() { import_patience_ = std::chrono::milliseconds(300); }
+  ImpatientServerTest() { options_.import_patience = std::chrono::milliseconds(300); }
 };
 
 TEST_F(ImpatientServerTest, AnImportThatStallsLosesItsPlace) {
@@ -530,7 +484,6 @@ TEST_F(SecurityTest, AServerThatStopsSaysSoFirst) {
   wait();
   queue.Shutdown();
   wait();
-  server_.reset();
 }
 
 TEST_F(SecurityTest, MutationsAreOnTheAuditLog) {
@@ -544,7 +497,7 @@ TEST_F(SecurityTest, MutationsAreOnTheAuditLog) {
   EXPECT_EQ(CreateSession(Channel(), "", "a", "r2").error_code(),
             grpc::StatusCode::UNAUTHENTICATED);
   EXPECT_TRUE(ListSites(Channel(), "read").ok());
-  std::istringstream lines(Read(access_options_.audit_log));
+  std::istringstream lines(Read(options_.access.audit_log));
   std::vector<std::string> told;
   for (std::string line; std::getline(lines, line);) {
     const auto json = nlohmann::json::parse(line);
@@ -554,7 +507,7 @@ TEST_F(SecurityTest, MutationsAreOnTheAuditLog) {
         absl::StrCat(json["who"].get<std::string>(), "|", json["deed"].get<std::string>(), "|",
                      json["what"].get<std::string>(), "|", json["result"].get<std::string>()));
   }
-  std::filesystem::remove(access_options_.audit_log);
+  std::filesystem::remove(options_.access.audit_log);
   EXPECT_THAT(told, Contains("token admin|create site|c|OK"));
   EXPECT_THAT(told, Contains("robot r1|create session|sites/a/sessions/drive-of-r2 of robots/r2|"
                              "PERMISSION_DENIED"));
@@ -563,14 +516,9 @@ TEST_F(SecurityTest, MutationsAreOnTheAuditLog) {
 }
 
 TEST_F(SecurityTest, AFloodIsToldWhenToComeAgain) {
-  server_->Shutdown();
+  options_.access.calls_per_s = 1.0;
   server_.reset();
-  operations_.reset();
-  sites_->Stop();
-  sites_.reset();
-  store_.reset();
-  access_options_.calls_per_s = 1.0;
-  Start();
+  server_.emplace(options_);
   const auto channel = Channel();
   grpc::Status status;
   // Less than one call in a second.
