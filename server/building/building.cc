@@ -14,9 +14,6 @@ namespace {
 constexpr int kDepth = 16;
 constexpr int kCentre = 32768;
 
-// A plan of 820 m x 820 m at 0.05 m; a file with two voxels far apart must not take all memory.
-constexpr std::int64_t kMaxCells = std::int64_t{1} << 28;
-
 // Heights on the boundary of two voxels do not reach into the further one because of rounding.
 constexpr double kBoundaryTolerance_voxels = 1e-6;
 
@@ -76,10 +73,10 @@ absl::StatusOr<FloorPlan> SliceFloorPlan(const octomap::OcTree& octree, double m
   }
   const int width = x.end - x.begin;
   const int height = y.end - y.begin;
-  if (std::int64_t{width} * height > kMaxCells) {
+  if (std::int64_t{width} * height > kMaxFloorPlanCells) {
     return absl::InvalidArgumentError(absl::StrFormat(
         "the building's floor plan would have %d x %d cells of %g m, more than the limit of %d",
-        width, height, voxel_size_m, kMaxCells));
+        width, height, voxel_size_m, kMaxFloorPlanCells));
   }
 
   FloorPlan floor_plan(

@@ -6,6 +6,10 @@
 
 namespace soundmap::building {
 
+// Cells of the largest floor plan, 410 m x 410 m at 0.05 m. Localization takes some 16 bytes for
+// each, and two points far apart in a file must not take all memory.
+inline constexpr std::int64_t kMaxFloorPlanCells = std::int64_t{1} << 26;
+
 enum class Cell : std::uint8_t { kUnknown = 0, kFree = 1, kOccupied = 2 };
 
 // The 2D map of section II-A: a horizontal slice of the building, flattened. Row-major, x fastest;

@@ -18,31 +18,58 @@ using geometry::VoxelKey;
 
 octomap::OcTreeKey ToOctomap(const VoxelKey& key) { return {key.x, key.y, key.z}; }
 
-// Unknown runs of at most `max_cells` between two free cells of a line become free. `cell(i)` is
-// the line's i-th cell.
-template <typename CellAt>
-void FillGaps(int length, int max_cells, CellAt cell) {
-  int last_free = -1;
-  for (int i = 0; i < length; ++i) {
-    if (cell(i) == Cell::kOccupied) last_free = -1;
-    if (cell(i) != Cell::kFree) continue;
-    if (last_free >= 0 && i - last_free - 1 <= max_cells) {
-      for (int gap = last_free + 1; gap < i; ++gap) cell(gap) = Cell::kFree;
+// Unknown runs of at most `max_cells` between two free cells of a row become free, then those of a
+// column. Goes through the plan in the order of its rows, for its cells may be many.
+void FillGaps(FloorPlan& plan, int max_cells) {
+  for (int row = 0; row < plan.height(); ++row) {
+    int last_free = -1;
+    for (int column = 0; column < plan.width(); ++column) {
+      const Cell cell = plan.at(column, row);
+      if (cell == Cell::kOccupied) last_free = -1;
+      if (cell != Cell::kFree) continue;
+      if (last_free >= 0 && column - last_free - 1 <= max_cells) {
+        for (int gap = last_free + 1; gap < column; ++gap) plan.at(gap, row) = Cell::kFree;
+      }
+      last_free = column;
     }
-    last_free = i;
+  }
+  std::vector<int> last_free(plan.width(), -1);  // row of each column
+  for (int row = 0; row < plan.height(); ++row) {
+    for (int column = 0; column < plan.width(); ++column) {
+      const Cell cell = plan.at(column, row);
+      int& last = last_free[column];
+      if (cell == Cell::kOccupied) last = -1;
+      if (cell != Cell::kFree) continue;
+      if (last >= 0 && row - last - 1 <= max_cells) {
+        for (int gap = last + 1; gap < row; ++gap) plan.at(column, gap) = Cell::kFree;
+      }
+      last = row;
+    }
   }
 }
 
-// Unknown cells that no path over unknown cells joins to the plan's border become free.
+// Unknown cells that no path over unknown cells joins to the plan's border become free. Floods by
+// runs of a row, of which there are no more than rows and occupied cells.
 void FillEnclosed(FloorPlan& plan) {
+  struct Run {
+    int row, first, last;
+  };
   std::vector<bool> outside(plan.cells().size(), false);
-  std::vector<std::pair<int, int>> open;
+  const auto index = [&](int column, int row) {
+    return static_cast<std::size_t>(row) * plan.width() + column;
+  };
+  const auto is_reachable = [&](int column, int row) {
+    return plan.Contains(column, row) && plan.at(column, row) == Cell::kUnknown &&
+           !outside[index(column, row)];
+  };
+  std::vector<Run> open;
   const auto reach = [&](int column, int row) {
-    if (!plan.Contains(column, row) || plan.at(column, row) != Cell::kUnknown) return;
-    const std::size_t index = static_cast<std::size_t>(row) * plan.width() + column;
-    if (outside[index]) return;
-    outside[index] = true;
-    open.emplace_back(column, row);
+    if (!is_reachable(column, row)) return;
+    Run run{row, column, column};
+    while (is_reachable(run.first - 1, row)) --run.first;
+    while (is_reachable(run.last + 1, row)) ++run.last;
+    for (int i = run.first; i <= run.last; ++i) outside[index(i, row)] = true;
+    open.push_back(run);
   };
   for (int column = 0; column < plan.width(); ++column) {
     reach(column, 0);
@@ -53,17 +80,16 @@ void FillEnclosed(FloorPlan& plan) {
     reach(plan.width() - 1, row);
   }
   while (!open.empty()) {
-    const auto [column, row] = open.back();
+    const Run run = open.back();
     open.pop_back();
-    reach(column - 1, row);
-    reach(column + 1, row);
-    reach(column, row - 1);
-    reach(column, row + 1);
+    for (int column = run.first; column <= run.last; ++column) {
+      reach(column, run.row - 1);
+      reach(column, run.row + 1);
+    }
   }
   for (int row = 0; row < plan.height(); ++row) {
     for (int column = 0; column < plan.width(); ++column) {
-      if (plan.at(column, row) == Cell::kUnknown &&
-          !outside[static_cast<std::size_t>(row) * plan.width() + column]) {
+      if (plan.at(column, row) == Cell::kUnknown && !outside[index(column, row)]) {
         plan.at(column, row) = Cell::kFree;
       }
     }
@@ -157,13 +183,7 @@ absl::StatusOr<Building> BuildingFromPoints(std::span<const Eigen::Vector3d> poi
   auto plan = SliceFloorPlan(*octree, config.slice_min_height_m, config.slice_max_height_m);
   if (!plan.ok()) return plan.status();
   if (HasFreeCell(*plan)) {
-    const int gap_cells = static_cast<int>(config.floor_gap_m / config.voxel_size_m);
-    for (int row = 0; row < plan->height(); ++row) {
-      FillGaps(plan->width(), gap_cells, [&](int i) -> Cell& { return plan->at(i, row); });
-    }
-    for (int column = 0; column < plan->width(); ++column) {
-      FillGaps(plan->height(), gap_cells, [&](int i) -> Cell& { return plan->at(column, i); });
-    }
+    FillGaps(*plan, static_cast<int>(config.floor_gap_m / config.voxel_size_m));
   } else {
     FillEnclosed(*plan);
   }

@@ -15,7 +15,6 @@ namespace soundmap::building {
 namespace {
 
 constexpr std::size_t kMaxYamlBytes = 64 << 10;
-constexpr std::int64_t kMaxCells = std::int64_t{1} << 28;
 
 constexpr std::uint8_t kOccupiedGrey = 0;
 constexpr std::uint8_t kFreeGrey = 254;
@@ -127,10 +126,10 @@ absl::StatusOr<Picture> ParsePgm(std::string_view pgm) {
     return absl::InvalidArgumentError("the map's picture has a damaged PGM header");
   }
   const std::int64_t cells = std::int64_t{*width} * *height;
-  if (cells > kMaxCells) {
+  if (cells > kMaxFloorPlanCells) {
     return absl::InvalidArgumentError(
         absl::StrFormat("the map's picture has %d x %d cells, more than the limit of %d", *width,
-                        *height, kMaxCells));
+                        *height, kMaxFloorPlanCells));
   }
   ++position;  // the one separator after the header
   if (position > pgm.size() || static_cast<std::int64_t>(pgm.size() - position) < cells) {

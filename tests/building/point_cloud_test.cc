@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <random>
+#include <utility>
 
 #include "building/point_cloud_file.h"
 
@@ -207,6 +209,102 @@ TEST(BuildingFromPoints, HolesAreNotFilledThroughAWall) {
   EXPECT_EQ(building->floor_plan.at(9, 0), Cell::kUnknown);
   EXPECT_EQ(building->floor_plan.at(10, 0), Cell::kUnknown);
   EXPECT_EQ(building->floor_plan.at(11, 0), Cell::kOccupied);
+}
+
+// Points at the centres of random cells of a square, in each with this chance, and at its corners.
+Points Scattered(int seed, int cells, double chance, double height_m) {
+  std::mt19937 random(seed);
+  std::bernoulli_distribution there(chance);
+  Points points;
+  for (int row = 0; row < cells; ++row) {
+    for (int column = 0; column < cells; ++column) {
+      const bool corner = (row == 0 || row == cells - 1) && (column == 0 || column == cells - 1);
+      if (!there(random) && !corner) continue;
+      points.emplace_back((column + 0.5) * kStep_m, (row + 0.5) * kStep_m, height_m);
+    }
+  }
+  return points;
+}
+
+FloorPlan Drawn(const Points& occupied, const Points& free, int cells) {
+  FloorPlan plan(cells, cells, kStep_m, {0.0, 0.0});
+  for (const auto& [points, cell] :
+       {std::pair(&free, Cell::kFree), std::pair(&occupied, Cell::kOccupied)}) {
+    for (const Vector3d& point : *points) {
+      plan.at(static_cast<int>(point.x() / kStep_m), static_cast<int>(point.y() / kStep_m)) = cell;
+    }
+  }
+  return plan;
+}
+
+// From every unknown cell on its own: the nearest known ones before and behind it.
+TEST(BuildingFromPoints, GapsAreFilledAsTheirCellsSay) {
+  constexpr int kCells = 40;
+  constexpr int kGap_cells = 8;  // PointCloudConfig's 0.4 m
+  for (int seed = 0; seed < 20; ++seed) {
+    const Points walls = Scattered(seed, kCells, 0.03, 0.325);
+    Points floor = Scattered(100 + seed, kCells, 0.1, 0.025);
+    FloorPlan expected = Drawn(walls, floor, kCells);
+    for (const auto& [across, up] : {std::pair(1, 0), std::pair(0, 1)}) {
+      const FloorPlan before = expected;
+      const auto nearest = [&](int column, int row, int step) {
+        int cells = 0;
+        do {
+          column += step * across;
+          row += step * up;
+          ++cells;
+        } while (before.Contains(column, row) && before.at(column, row) == Cell::kUnknown);
+        const bool free = before.Contains(column, row) && before.at(column, row) == Cell::kFree;
+        return free ? cells : 2 * kCells;
+      };
+      for (int row = 0; row < kCells; ++row) {
+        for (int column = 0; column < kCells; ++column) {
+          if (before.at(column, row) != Cell::kUnknown) continue;
+          const int gap = nearest(column, row, 1) + nearest(column, row, -1) - 1;
+          if (gap <= kGap_cells) expected.at(column, row) = Cell::kFree;
+        }
+      }
+    }
+    floor.insert(floor.end(), walls.begin(), walls.end());
+    const auto building = BuildingFromPoints(floor, {});
+    ASSERT_TRUE(building.ok()) << building.status();
+    EXPECT_TRUE(building->floor_plan.cells() == expected.cells()) << "seed " << seed;
+  }
+}
+
+// Cell by cell until nothing changes.
+TEST(BuildingFromPoints, WithoutAFloorIsFreeWhatNoWayLeadsOutOf) {
+  constexpr int kCells = 40;
+  for (int seed = 0; seed < 20; ++seed) {
+    const Points walls = Scattered(seed, kCells, 0.42, 0.325);
+    FloorPlan expected = Drawn(walls, {}, kCells);
+    std::vector<bool> outside(kCells * kCells, false);
+    const auto is_outside = [&](int column, int row) {
+      return !expected.Contains(column, row) || outside[row * kCells + column];
+    };
+    for (bool changed = true; changed;) {
+      changed = false;
+      for (int row = 0; row < kCells; ++row) {
+        for (int column = 0; column < kCells; ++column) {
+          if (expected.at(column, row) != Cell::kUnknown || is_outside(column, row)) continue;
+          if (!is_outside(column - 1, row) && !is_outside(column + 1, row) &&
+              !is_outside(column, row - 1) && !is_outside(column, row + 1)) {
+            continue;
+          }
+          changed = outside[row * kCells + column] = true;
+        }
+      }
+    }
+    for (int row = 0; row < kCells; ++row) {
+      for (int column = 0; column < kCells; ++column) {
+        Cell& cell = expected.at(column, row);
+        if (cell == Cell::kUnknown && !is_outside(column, row)) cell = Cell::kFree;
+      }
+    }
+    const auto building = BuildingFromPoints(walls, {});
+    ASSERT_TRUE(building.ok()) << building.status();
+    EXPECT_TRUE(building->floor_plan.cells() == expected.cells()) << "seed " << seed;
+  }
 }
 
 TEST(BuildingFromPoints, RefusesWhatHasNoFreeSpaceOrLiesOutside) {
