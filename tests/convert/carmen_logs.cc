@@ -1,9 +1,7 @@
 #include "tests/convert/carmen_logs.h"
 
 #include <gtest/gtest.h>
-#include <unistd.h>
 
-#include <filesystem>
 #include <fstream>
 #include <iterator>
 
@@ -15,13 +13,8 @@
 namespace soundmap::convert {
 
 std::string FreshPath(const std::string& name) {
-  static const std::string folder = [] {
-    std::string path =
-        (std::filesystem::temp_directory_path() / "soundmap_convert_XXXXXX").string();
-    return std::string(mkdtemp(path.data()));
-  }();
   static int count = 0;
-  return absl::StrCat(folder, "/", ++count, "_", name);
+  return absl::StrCat(::testing::TempDir(), "/", ++count, "_", name);
 }
 
 void WriteBytes(const std::string& path, std::string_view bytes) {
