@@ -5,6 +5,7 @@
 #include <numbers>
 #include <optional>
 #include <set>
+#include <type_traits>
 
 #define TOML_EXCEPTIONS 0
 // toml++'s assertions do not hold for every text, "[=]" for one, and an error stands behind each.
@@ -44,6 +45,13 @@ class Keys {
     if (value.empty()) Fail(section, key, "is missing");
   }
 
+  // The first that is said is the one that is told.
+  void Fail(const char* section, const char* key, const std::string& what) {
+    if (!status_.ok()) return;
+    status_ = absl::InvalidArgumentError(
+        absl::StrCat(path_, ": ", section, *section == '\0' ? "" : ".", key, " ", what));
+  }
+
   absl::Status Finish() {
     for (auto&& [section, node] : table_) {
       if (!node.is_table()) {
@@ -62,15 +70,12 @@ class Keys {
   std::optional<Value> Take(const char* section, const char* key, const char* what) {
     const toml::node_view<toml::node> node = table_[section][key];
     if (!node) return std::nullopt;
-    const std::optional<Value> value = node.value<Value>();
+    // A number is no flag, nor a flag a number, although toml++ would take one for the other.
+    const bool converts = node.is_boolean() != std::is_same_v<Value, bool>;
+    const std::optional<Value> value = converts ? std::nullopt : node.value<Value>();
     if (!value) Fail(section, key, absl::StrCat("is not ", what));
     table_[section].as_table()->erase(key);
     return value;
-  }
-  void Fail(const char* section, const char* key, const std::string& what) {
-    if (!status_.ok()) return;
-    status_ = absl::InvalidArgumentError(
-        absl::StrCat(path_, ": ", section, *section == '\0' ? "" : ".", key, " ", what));
   }
 
   const std::string path_;
@@ -114,8 +119,7 @@ absl::StatusOr<RunConfig> RunConfig::Read(const std::string& path) {
   if (given == 3) {
     config.session.initial_pose = {pose[0], pose[1], pose[2] * std::numbers::pi / 180.0};
   } else if (given > 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        path, ": robot.initial_x_m, initial_y_m and initial_yaw_deg are given together"));
+    keys.Fail("robot", "initial_x_m", "is given together with initial_y_m and initial_yaw_deg");
   }
 
   std::string source_type = "recording";

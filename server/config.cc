@@ -55,12 +55,12 @@ absl::Status ServerConfig::ReadFile(const std::string& path) {
         taken = true;
       }
     } else if (name == "insecure") {
-      if (const auto value = node.value<bool>()) {
+      if (const auto value = node.value_exact<bool>()) {
         insecure = *value;
         taken = true;
       }
     } else if (name == "max_calls_per_s") {
-      if (const auto value = node.value<double>()) {
+      if (const auto value = node.value<double>(); value && node.is_number()) {
         access.calls_per_s = *value;
         taken = true;
       }

@@ -91,7 +91,7 @@ class TomlReader {
       }
       Refuse(key);
     } else if constexpr (std::is_same_v<Value, bool>) {
-      Take(key, node->value<bool>(), value);
+      Take(key, node->value_exact<bool>(), value);
     } else if constexpr (std::is_integral_v<Value>) {
       const std::optional<std::int64_t> number = node->value_exact<std::int64_t>();
       if (!number || !std::in_range<Value>(*number)) {
@@ -100,7 +100,8 @@ class TomlReader {
         value = static_cast<Value>(*number);
       }
     } else {
-      Take(key, node->value<Value>(), value);
+      // value() would take true for 1.
+      Take(key, node->is_boolean() ? std::nullopt : node->value<Value>(), value);
     }
   }
   template <typename Value>

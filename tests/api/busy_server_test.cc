@@ -82,8 +82,8 @@ class BusyServerTest : public testing::Test {
 
   BusyServerTest() {
     TestServer::Options options;
-    options.folder = absl::StrCat(
-        ::testing::TempDir(), "/", ::testing::UnitTest::GetInstance()->current_test_info()->name());
+    options.folder = absl::StrCat(::testing::TempDir(), "/",
+                                  ::testing::UnitTest::GetInstance()->current_test_info()->name());
     options.profile = [this](const std::string& name) {
       ++asked_;
       if (name == "slow") go_on_.wait();

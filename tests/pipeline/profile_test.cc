@@ -61,6 +61,8 @@ TEST(Profile, WhatIsWrongIsNamed) {
       {"profile = 'loud'", "loud"},
       {"[acoustics]\nf_mni_hz = 10.0", "acoustics.f_mni_hz"},
       {"[acoustics]\nf_min_hz = 'low'", "acoustics.f_min_hz"},
+      {"[acoustics]\nf_min_hz = true", "acoustics.f_min_hz"},
+      {"[sound_map]\njudge_by_views = 1", "sound_map.judge_by_views"},
       {"[localization]\nparticles = 1e99", "localization.particles"},
       {"[localization]\nparticles = 99999999999", "localization.particles"},
       {"[sound_map]\nstop_rule = 'never'", "sound_map.stop_rule"},
