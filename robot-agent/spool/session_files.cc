@@ -13,6 +13,7 @@
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -63,6 +64,17 @@ bool FitTogether(const SessionRecord& record) {
     shrunk += gap.end - gap.first - 1;
   }
   return true;
+}
+
+// A fraction or what 64 bits cannot hold is an error; get() would cast it as it comes.
+std::int64_t IntegerFrom(const nlohmann::json& json) {
+  const bool fits = json.is_number_unsigned()
+                        ? std::in_range<std::int64_t>(json.get<std::uint64_t>())
+                        : json.is_number_integer();
+  if (!fits) {
+    throw nlohmann::json::type_error::create(302, "a number is no integer of 64 bits", &json);
+  }
+  return json.get<std::int64_t>();
 }
 
 }  // namespace
@@ -135,7 +147,7 @@ absl::StatusOr<SessionRecord> ReadRecord(const std::string& folder) {
   SessionRecord record;
   try {
     const nlohmann::json json = nlohmann::json::parse(text);
-    if (json.at("format").get<int>() != kFormat) {
+    if (IntegerFrom(json.at("format")) != kFormat) {
       return absl::FailedPreconditionError(
           absl::StrCat(path, " was written by another version of soundmap-robot"));
     }
@@ -143,15 +155,14 @@ absl::StatusOr<SessionRecord> ReadRecord(const std::string& folder) {
              .ok()) {
       return absl::DataLossError(absl::StrCat(path, " names no session"));
     }
-    record.created_ns = json.at("created_ns").get<std::int64_t>();
-    record.next = json.at("next").get<std::int64_t>();
+    record.created_ns = IntegerFrom(json.at("created_ns"));
+    record.next = IntegerFrom(json.at("next"));
     record.ended = json.at("ended").get<bool>();
     record.delivered = json.at("delivered").get<bool>();
     for (const nlohmann::json& gap : json.at("gaps")) {
-      record.gaps.push_back(
-          {gap.at("offset").get<std::int64_t>(), gap.at("first").get<std::int64_t>(),
-           gap.at("end").get<std::int64_t>(), gap.at("from_ns").get<std::int64_t>(),
-           gap.at("to_ns").get<std::int64_t>(), gap.at("reason").get<std::string>()});
+      record.gaps.push_back({IntegerFrom(gap.at("offset")), IntegerFrom(gap.at("first")),
+                             IntegerFrom(gap.at("end")), IntegerFrom(gap.at("from_ns")),
+                             IntegerFrom(gap.at("to_ns")), gap.at("reason").get<std::string>()});
     }
   } catch (const nlohmann::json::exception& error) {
     return absl::DataLossError(absl::StrCat(path, " is damaged: ", error.what()));

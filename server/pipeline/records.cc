@@ -1,8 +1,10 @@
 #include "pipeline/records.h"
 
 #include <cmath>
+#include <concepts>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 
@@ -12,6 +14,17 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr std::size_t kMaxClockOffsets = 32;
+
+// A fraction or a number that Integer cannot hold is an error; get() would cast it as it comes.
+template <std::integral Integer = std::int64_t>
+Integer IntegerFrom(const Json& json) {
+  const bool fits =
+      json.is_number_unsigned()
+          ? std::in_range<Integer>(json.get<std::uint64_t>())
+          : json.is_number_integer() && std::in_range<Integer>(json.get<std::int64_t>());
+  if (!fits) throw Json::type_error::create(302, "a number is no integer of its size", &json);
+  return json.get<Integer>();
+}
 
 Json JsonFrom(const Eigen::Vector3d& v) { return {v.x(), v.y(), v.z()}; }
 
@@ -57,7 +70,7 @@ frames::Calibration CalibrationFrom(const Json& json) {
     calibration.mic_in_array_m.push_back(VectorFrom(mic));
   }
   calibration.laser_time_increment_s = json.at("laser_time_increment_s");
-  calibration.audio_sample_rate_hz = json.at("audio_sample_rate_hz");
+  calibration.audio_sample_rate_hz = IntegerFrom<int>(json.at("audio_sample_rate_hz"));
   if (json.contains("full_scale_spl_db")) {
     calibration.full_scale_spl_db = json.at("full_scale_spl_db").get<double>();
   }
@@ -169,11 +182,11 @@ absl::StatusOr<SiteRecord> SiteRecordFromJson(const std::string& text) {
     record.site = json.at("site");
     record.profile = json.at("profile");
     record.parameters_toml = json.at("parameters_toml");
-    record.create_time_ns = json.at("create_time_ns");
-    record.building_version = json.at("building_version");
+    record.create_time_ns = IntegerFrom(json.at("create_time_ns"));
+    record.building_version = IntegerFrom(json.at("building_version"));
     record.building_sessions = json.value("building_sessions", std::vector<std::string>{});
     record.create_request_id = json.value("create_request_id", "");
-    record.keep_frames_s = json.value("keep_frames_s", std::int64_t{0});
+    record.keep_frames_s = IntegerFrom(json.value("keep_frames_s", Json(0)));
     for (const Json& band : json.value("bands", Json::array())) {
       record.bands.push_back({band.at("name"), band.at("f_min_hz"), band.at("f_max_hz")});
     }
@@ -194,23 +207,24 @@ absl::StatusOr<SessionRecord> SessionRecordFromJson(const std::string& text) {
       record.initial_pose = geometry::Pose2{pose.x(), pose.y(), pose.z()};
     }
     record.warnings = json.at("warnings").get<std::vector<std::string>>();
-    record.epoch = json.at("epoch");
-    record.create_time_ns = json.at("create_time_ns");
-    record.building_version = json.at("building_version");
+    record.epoch = IntegerFrom(json.at("epoch"));
+    record.create_time_ns = IntegerFrom(json.at("create_time_ns"));
+    record.building_version = IntegerFrom(json.at("building_version"));
     record.complete = json.at("complete");
-    record.frame_count = json.at("frame_count");
-    record.first_frame_ns = json.at("first_frame_ns");
-    record.last_frame_ns = json.at("last_frame_ns");
-    record.audio_scans = json.at("audio_scans");
+    record.frame_count = IntegerFrom(json.at("frame_count"));
+    record.first_frame_ns = IntegerFrom(json.at("first_frame_ns"));
+    record.last_frame_ns = IntegerFrom(json.at("last_frame_ns"));
+    record.audio_scans = IntegerFrom(json.at("audio_scans"));
     record.frames_dropped = json.value("frames_dropped", false);
     for (const Json& gap : json.value("gaps", Json::array())) {
-      record.gaps.push_back({gap.at("offset"), gap.at("frames"), gap.at("from_ns"), gap.at("to_ns"),
+      record.gaps.push_back({IntegerFrom(gap.at("offset")), IntegerFrom(gap.at("frames")),
+                             IntegerFrom(gap.at("from_ns")), IntegerFrom(gap.at("to_ns")),
                              gap.at("reason")});
     }
     for (const Json& offset : json.value("clock_offsets", Json::array())) {
-      record.clock_offsets.push_back({offset.at("server_minus_robot_ns"),
-                                      offset.at("uncertainty_ns"), offset.at("time_ns"),
-                                      offset.at("drift_ppm")});
+      record.clock_offsets.push_back({IntegerFrom(offset.at("server_minus_robot_ns")),
+                                      IntegerFrom(offset.at("uncertainty_ns")),
+                                      IntegerFrom(offset.at("time_ns")), offset.at("drift_ppm")});
     }
     return record;
   });

@@ -94,6 +94,32 @@ TEST(Records, AnOffsetOfAClockIsReplacedUntilAClockJumps) {
   EXPECT_EQ(record.newest_offset()->time_ns, 2 * kHour_ns + 99);
 }
 
+// What is written, with one of its numbers in place of another.
+std::string With(std::string json, const std::string& key, const std::string& number) {
+  const std::size_t begin = json.find("\"" + key + "\":") + key.size() + 3;
+  return json.replace(begin, json.find_first_of(",}", begin) - begin, number);
+}
+
+TEST(Records, ANumberThatIsNoIntegerOfItsSizeIsDamage) {
+  SessionRecord session;
+  session.gaps.push_back({7, 3, 20, 50, "full"});
+  session.clock_offsets.push_back({1, 2, 3, 4.5});
+  const std::string stored = ToJson(session);
+  ASSERT_TRUE(SessionRecordFromJson(With(stored, "epoch", "-12")).ok());
+  for (const char* key :
+       {"epoch", "audio_sample_rate_hz", "frame_count", "offset", "to_ns", "uncertainty_ns"}) {
+    for (const char* number : {"1.5", "1e25", "-1e25", "18446744073709551615", "true", "null"}) {
+      const std::string damaged = With(stored, key, number);
+      EXPECT_TRUE(absl::IsDataLoss(SessionRecordFromJson(damaged).status())) << damaged;
+    }
+  }
+  EXPECT_TRUE(absl::IsDataLoss(
+      SessionRecordFromJson(With(stored, "audio_sample_rate_hz", "4294967296")).status()));
+  const std::string site = ToJson(SiteRecord());
+  ASSERT_TRUE(SiteRecordFromJson(With(site, "keep_frames_s", "3600")).ok());
+  EXPECT_TRUE(absl::IsDataLoss(SiteRecordFromJson(With(site, "keep_frames_s", "1e25")).status()));
+}
+
 TEST(Records, DamageIsSaid) {
   for (const char* text : {"", "{", "[]", "{\"site\": 5}", "null"}) {
     EXPECT_TRUE(absl::IsDataLoss(SiteRecordFromJson(text).status())) << text;

@@ -269,6 +269,26 @@ TEST_F(SpoolTest, ARecordWhoseNumbersDoNotFitTogetherIsDamaged) {
   }
 }
 
+TEST_F(SpoolTest, ARecordWhoseNumbersAreNoIntegersIsDamaged) {
+  SessionRecord record;
+  record.request = RequestFor("d");
+  record.next = 20;
+  std::filesystem::create_directories(folder_ / "d");
+  const std::string file = (folder_ / "d" / "session.json").string();
+  ASSERT_TRUE(WriteRecord((folder_ / "d").string(), record).ok());
+  std::ifstream in(file);
+  const std::string stored{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  const std::string next = "\"next\": 20";
+  ASSERT_NE(stored.find(next), std::string::npos);
+  for (const char* number : {"20.5", "1e25", "18446744073709551615", "true"}) {
+    std::string damaged = stored;
+    damaged.replace(stored.find(next), next.size(), absl::StrCat("\"next\": ", number));
+    std::ofstream(file) << damaged;
+    EXPECT_EQ(ReadRecord((folder_ / "d").string()).status().code(), absl::StatusCode::kDataLoss)
+        << number;
+  }
+}
+
 TEST_F(SpoolTest, OneAgentAtATime) {
   const auto spool = Reopen(folder_, SmallSegments());
   const auto other = Spool::Open(folder_.string(), SmallSegments(), [] { return 1; });
