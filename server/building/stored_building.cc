@@ -22,6 +22,8 @@ constexpr std::uint32_t kVersion = 1;
 constexpr std::size_t kPrefixBytes = 16;
 constexpr std::size_t kMaxContentBytes = std::size_t{2} << 30;
 constexpr int kCompressionLevel = 3;
+// Of zstd: a block takes four bytes or more. No room is made for content that cannot be there.
+constexpr std::size_t kMaxRatio = ZSTD_BLOCKSIZE_MAX / 4;
 
 template <typename Number>
 void Append(std::string& bytes, Number number) {
@@ -65,7 +67,7 @@ absl::Status Damaged() { return absl::DataLossError("the stored building is dama
 absl::StatusOr<std::string> Decompress(std::string_view frame) {
   const unsigned long long size = ZSTD_getFrameContentSize(frame.data(), frame.size());
   if (size == ZSTD_CONTENTSIZE_ERROR || size == ZSTD_CONTENTSIZE_UNKNOWN ||
-      size > kMaxContentBytes) {
+      size > kMaxContentBytes || size / kMaxRatio > frame.size()) {
     return Damaged();
   }
   std::string content(size, '\0');

@@ -42,6 +42,16 @@ TEST(StoredBuilding, TheOctreeMayBeAbsent) {
   EXPECT_EQ(read->floor_plan, building.floor_plan);
 }
 
+// Content that compresses as well as any is no damage.
+TEST(StoredBuilding, AWidePlanOfWhichNothingIsKnownComesBack) {
+  const Building building{nullptr, FloorPlan(5000, 4000, 0.05, {0.0, 0.0})};
+  const std::string bytes = SerializeBuilding(building);
+  EXPECT_LT(bytes.size(), 5000u);
+  const auto read = ParseBuilding(bytes);
+  ASSERT_TRUE(read.ok()) << read.status();
+  EXPECT_TRUE(read->floor_plan == building.floor_plan);
+}
+
 TEST(StoredBuilding, RefusesDamageAndNewerVersions) {
   const std::string bytes = SerializeBuilding(MakeBuilding());
   for (std::size_t size = 0; size < bytes.size(); ++size) {
