@@ -1,7 +1,8 @@
 // gRPC hands calls from thread to thread by atomics, which the thread sanitizer does not see in a
 // library that is not built with it: every stream would race with itself. Linked before gRPC into
 // programs that are built with the sanitizer, this tells it what gRPC promises, and nothing more:
-// what was done before a batch was started is seen by who hears that the batch is done. Where
+// what was done before a batch was started is seen by who hears that the batch is done, and what a
+// server's calls did until their end by who has shut it down. Where
 // client and server are one process, also what the client did before it sent is seen by the call
 // that begins at the server, and what the server did before it answered by the client that has the
 // answer.
@@ -16,6 +17,7 @@ namespace {
 
 char to_server;  // the addresses stand for the wire
 char to_client;
+char to_end;  // of a server
 
 template <typename Function>
 Function* Next(const char* name) {
@@ -97,6 +99,22 @@ grpc_event grpc_completion_queue_pluck(grpc_completion_queue* queue, void* tag,
   const grpc_event event = next(queue, tag, deadline, reserved);
   Acquire(event);
   return event;
+}
+
+// After OnDone(), and before the server may go.
+void grpc_call_unref(grpc_call* call) {
+  static auto* const next = Next<decltype(grpc_call_unref)>("grpc_call_unref");
+  __tsan_release(&to_end);
+  next(call);
+}
+
+// grpc::Server::ShutdownInternal, which waits for all calls.
+#define SHUT_DOWN "_ZN4grpc6Server16ShutdownInternalE12gpr_timespec"
+void ShutDown(grpc::Server* server, gpr_timespec deadline) __asm__(SHUT_DOWN);
+void ShutDown(grpc::Server* server, gpr_timespec deadline) {
+  static auto* const next = Next<void(grpc::Server*, gpr_timespec)>(SHUT_DOWN);
+  next(server, deadline);
+  __tsan_acquire(&to_end);
 }
 
 // grpc::internal::CallbackWithSuccessTag::StaticRun: an operation of a callback is done.
