@@ -1,5 +1,6 @@
 // soundmap-robot: what runs on the robot, or plays one.
 
+#include <google/protobuf/stubs/logging.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -405,6 +406,9 @@ int Main(int argc, char** argv) {
 }  // namespace soundmap
 
 int main(int argc, char** argv) {
+  // Standard error is for sentences, also when a recording has a million texts that are not UTF-8.
+  setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
+  google::protobuf::SetLogHandler(nullptr);
   // While no call waits, gRPC looks after a connection in the making only so often, every 5 s
   // without this: a robot whose network is back would wait for that, and for its own back-off
   // again.

@@ -1,3 +1,5 @@
+#include <google/protobuf/stubs/logging.h>
+
 #include <cmath>
 #include <span>
 
@@ -16,6 +18,7 @@ constexpr const char* kSchemas[] = {"foxglove.RawAudio", "foxglove.PointCloud",
 }  // namespace
 
 std::vector<std::string> Seeds() {
+  google::protobuf::SetLogHandler(nullptr);  // as the server's
   const std::int16_t samples[] = {1, -2, 3, -4, 5, -6};
   std::vector<std::string> seeds = {
       std::string(1, '\0') +
