@@ -23,6 +23,7 @@
 #include "sound_map/source_register.h"
 #include "sources/simulation/random_scene.h"
 #include "sources/simulation/simulate.h"
+#include "sources/simulation/trajectory.h"
 
 namespace soundmap::acceptance {
 namespace {
@@ -90,6 +91,20 @@ SoundSource ToReported(const sound_map::SoundSource& source) {
   return reported;
 }
 
+// Drives the path to and fro, if once is less than so long.
+void DriveFor(double seconds, simulation::PathConfig& path) {
+  const auto once = simulation::Trajectory::Create(path, path.laps);
+  const std::size_t count = path.way_points_m.size();
+  if (path.closed || count < 2 || !once.ok() || once->duration_s() >= seconds) return;
+  path.speed_mps[count - 1] = path.speed_mps[count - 2];
+  for (std::size_t i = count - 2; i > 0; --i) {
+    path.way_points_m.push_back(path.way_points_m[i]);
+    path.speed_mps.push_back(path.speed_mps[i - 1]);
+  }
+  path.closed = true;
+  path.laps = seconds / once->duration_s();
+}
+
 }  // namespace
 
 bool Trial::planar() const {
@@ -150,6 +165,7 @@ absl::StatusOr<Trial> RandomTrial(std::uint64_t seed, const RoomVariant& variant
     if (!is_mapping) options.seconds = variant.seconds;
     simulation::Scene played = *scene;
     if (is_mapping) played.people.clear();
+    if (!is_mapping && variant.seconds) DriveFor(*variant.seconds, played.path);
     // A drive that was not finished leaves no file of the name.
     const fs::path partial = fs::path(folder) / ("partial_" + path.filename().string());
     const auto made = simulation::Simulate(played, partial.string(), options);

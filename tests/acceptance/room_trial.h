@@ -39,7 +39,7 @@ absl::StatusOr<Trial> ReadTrial(const std::string& drive_path, const std::string
 // What is asked of a random scene beside its seed.
 struct RoomVariant {
   bool silent = false;            // no source, but noise: of microphones and of the robot itself
-  std::optional<double> seconds;  // the drive ends then
+  std::optional<double> seconds;  // the drive lasts so long
 };
 
 // simulation::RandomScene(); drives and building are made once and kept in the folder.

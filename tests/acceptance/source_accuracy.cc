@@ -159,7 +159,7 @@ int main(int argc, char** argv) {
                                        {"offset", Fault::kArrayOffset},
                                        {"lost", Fault::kLostAudio}}));
   app.add_flag("--silent", arguments.variant.silent, "Rooms without a source");
-  app.add_option("--seconds", arguments.variant.seconds, "End each drive after so long");
+  app.add_option("--seconds", arguments.variant.seconds, "Let each drive last so long");
   app.add_option("--drive", arguments.drive, "A recording with truth, in place of random rooms");
   app.add_option("--mapping", arguments.mapping, "The mapping drive of its building");
   app.add_option("--out", arguments.out, "A JSON file for the results");
