@@ -90,7 +90,7 @@ std::int64_t SyncedFiles::Drop(const std::string& folder) const {
 
 namespace {
 
-// Before main(), and never destroyed: threads sync until the process is killed.
+// Never destroyed: threads sync until the process is killed.
 SyncedFiles& Noted() {
   static auto* const files = new SyncedFiles();
   return *files;

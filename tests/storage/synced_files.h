@@ -12,7 +12,8 @@ namespace soundmap::storage {
 // synced_files.cc, which stands before the C library's fsync() and its like, and has the path of a
 // table in its environment (SOUNDMAP_SYNCED_FILES). A file keeps the bytes that it had when it was
 // last synced, and goes if its folder was not synced since it was made. Renaming and removing
-// files are taken to last, as a file system with a journal has them in order.
+// files are taken to last, as a file system with a journal has them in order. A new file that has
+// the inode of a removed one keeps what that had synced, so that less may go than could.
 class SyncedFiles {
  public:
   // Makes the table; what lies below `folder` now is on the disk.
