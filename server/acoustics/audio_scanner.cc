@@ -201,7 +201,7 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
     Done(Step::kEvidence);
     return result;
   }
-  Peaks found = tables->finder->Find(scan);
+  Peaks found = tables->finder->Find(scan, rest_);
   result.likelihood = tables->finder->Likelihood(found.peaks);
   result.noise_floor = found.noise_floor;
   result.maxima = std::move(found.maxima);

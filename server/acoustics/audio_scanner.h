@@ -104,7 +104,7 @@ class AudioScanner {
   FrameLayout layout_;
   Stft stft_;
   Polarity polarity_;
-  AudioScan scan_;                        // keeps its memory from scan to scan
+  AudioScan scan_, rest_;                 // keep their memory from scan to scan
   std::vector<std::int16_t> mended_;      // likewise
   std::unique_ptr<Remainder> remainder_;  // that the last scan with dead microphones needed
   AudioClock clock_;

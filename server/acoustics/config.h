@@ -43,16 +43,15 @@ struct DoubleThreshold {
 // Deviation from eq. (6): only peaks of the power speak for a source. The noise floor is the median
 // of S over the directions, its spread the standard deviation of the normal distribution with the
 // same distance from the lower quartile to the median; both of the power that is left when the peak
-// at hand is taken off, so that the side lobes of a strong source do not hide weak ones. (6.5 of
-// these spreads find as much in `grill_room` as 4 spreads of the whole power.) The incoherent
-// spread is what noise that is independent at each microphone leaves by theory; it decides where
-// nothing is to be heard: white noise then gives a peak in less than 1 scan of 500.
+// at hand is taken off, so that the side lobes of a strong source do not hide weak ones. The
+// incoherent spread is what noise that is independent at each microphone leaves by theory; it
+// decides where nothing is to be heard: white noise then gives a peak in less than 1 scan of 500.
 struct PeakEvidence {
-  double threshold_spreads = 6.5;             // a peak stands this many spreads above the floor
+  double threshold_spreads = 5.0;             // a peak stands this many spreads above the floor
   double threshold_incoherent_spreads = 5.0;  // and this many incoherent spreads
   // When no such peak is left, local maxima that stand less high count, too: each says little, but
   // those of a faint source come again from the same place, and those of noise do not.
-  double faint_spreads = 4.0;
+  double faint_spreads = 3.0;
   double faint_incoherent_spreads = 4.0;
   int max_peaks = 10;
   double peak_radius_rad = geometry::RadFromDeg(3.0);

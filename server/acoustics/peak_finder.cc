@@ -134,7 +134,14 @@ Eigen::Vector3d PeakFinder::Reported(const Eigen::Vector3d& direction) const {
   return Covers(image) ? image : direction;
 }
 
-void PeakFinder::AddFaint(const AudioScan& scan, std::span<const Removed> removed,
+void PeakFinder::ReadCentres(const AudioScan& scan, std::vector<float>& residual) const {
+  residual.resize(cells_.size());
+  for (int cell = 0; cell < cells_.size(); ++cell) {
+    residual[cell] = scan.power[cells_.centres()[cell]];
+  }
+}
+
+void PeakFinder::AddFaint(const AudioScan& scan, std::span<const Eigen::Vector3d> strong,
                           std::span<const float> residual, const Background& background,
                           Peaks& found) const {
   const auto least = static_cast<float>(
@@ -150,7 +157,7 @@ void PeakFinder::AddFaint(const AudioScan& scan, std::span<const Removed> remove
   const double near = std::cos(evidence_.undecided_radius_rad);
   const geometry::DirectionGrid& grid = srp_->grid();
   std::vector<Eigen::Vector3d> taken;
-  for (const Removed& wave : removed) taken.push_back(beam_.Distinguishable(wave.source));
+  for (const Eigen::Vector3d& source : strong) taken.push_back(beam_.Distinguishable(source));
   for (const int cell : cells) {
     if (static_cast<int>(taken.size()) >= evidence_.max_peaks) return;
     const Eigen::Vector3d centre = beam_.Distinguishable(grid[cells_.centres()[cell]]);
@@ -159,7 +166,7 @@ void PeakFinder::AddFaint(const AudioScan& scan, std::span<const Removed> remove
       continue;
     }
     taken.push_back(centre);
-    const Maximum largest = LargestOf(scan, removed, cell);
+    const Maximum largest = LargestOf(scan, /*removed=*/{}, cell);
     found.peaks.push_back({Reported(grid[largest.direction]), largest.power});
   }
 }
@@ -211,15 +218,13 @@ bool PeakFinder::Covers(const Eigen::Vector3d& direction) const {
   return covers;
 }
 
-Peaks PeakFinder::Find(const AudioScan& scan) const {
+Peaks PeakFinder::Find(const AudioScan& scan, AudioScan& memory) const {
   const double incoherent = beam_.Incoherent();
   const double least_height = evidence_.threshold_incoherent_spreads * beam_.IncoherentSpread();
   const geometry::DirectionGrid& grid = srp_->grid();
   Peaks found;
-  std::vector<float> residual(cells_.size());  // at the centres
-  for (int cell = 0; cell < cells_.size(); ++cell) {
-    residual[cell] = scan.power[cells_.centres()[cell]];
-  }
+  std::vector<float> residual;
+  ReadCentres(scan, residual);
   Background background = BackgroundOf(residual);
   found.maxima = MaximaOf(scan, background);
   std::vector<Removed> removed;
@@ -236,17 +241,32 @@ Peaks PeakFinder::Find(const AudioScan& scan) const {
     beam_.AddResponse(direction, static_cast<float>(-gain), static_cast<float>(incoherent),
                       centres_, 0, residual);
     // The peak must stand out of what is left without it: its own side lobes are no noise.
-    const Background rest = BackgroundOf(residual);
-    if (!(power > rest.floor + std::max(evidence_.threshold_spreads * rest.spread, least_height))) {
+    const Background left = BackgroundOf(residual);
+    if (!(power > left.floor + std::max(evidence_.threshold_spreads * left.spread, least_height))) {
       break;
     }
-    background = rest;
+    background = left;
     removed.push_back({direction, gain});
     const bool moved_off = start.dot(direction) < std::cos(grid.spacing_rad());
     if (moved_off && !Covers(direction)) continue;
     found.peaks.push_back({Reported(direction), power});
   }
-  AddFaint(scan, removed, residual, background, found);
+  std::stable_sort(removed.begin(), removed.end(),
+                   [](const Removed& a, const Removed& b) { return a.gain > b.gain; });
+  std::vector<Eigen::Vector3d> strong;
+  for (const Removed& wave : removed) strong.push_back(wave.source);
+  const AudioScan* rest = &scan;
+  if (!strong.empty()) {
+    srp_->Without(scan, strong, memory);
+    rest = &memory;
+    ReadCentres(*rest, residual);
+    background = BackgroundOf(residual);
+    const std::vector<int> of_scan = std::move(found.maxima), of_rest = MaximaOf(*rest, background);
+    found.maxima.clear();
+    std::set_union(of_scan.begin(), of_scan.end(), of_rest.begin(), of_rest.end(),
+                   std::back_inserter(found.maxima));
+  }
+  AddFaint(*rest, strong, residual, background, found);
   found.noise_floor = background.floor;
   found.spread = background.spread;
   std::stable_sort(found.peaks.begin(), found.peaks.end(),

@@ -18,15 +18,18 @@ struct Peaks {
   double spread = 0.0;
   // Strongest first. `power` is S at the peak less the responses of the peaks found before it.
   std::vector<Peak> peaks;
-  // Indices in the grid: local maxima of S as it is, 2.5 spreads or more above its noise floor.
-  // Single ones say nothing; which places they come again from does.
+  // Indices in the grid: local maxima of S as it is and of what is left of it without the strong
+  // peaks, 2.5 spreads or more above the noise floor. Single ones say nothing; which places they
+  // come again from does.
   std::vector<int> maxima;
 };
 
 // Peak removal with the known beam: the largest power above the threshold is a source; a plane
 // wave's response from there, scaled to bring it down to the noise floor, is taken off; and so on.
 // Directions are refined between those of the grid. A source outside the grid is taken off, but not
-// reported. Then the local maxima that stand less high, which need not be taken off.
+// reported. So far each is taken for as loud in all of the band as it is on average; then the waves
+// from there are taken off bin by bin, whatever their spectra, and what is left shows the local
+// maxima that stand less high, which need not be taken off.
 //
 // The power is kept up to date in the centres of cells alone, which are closer than the array
 // resolves; the rest of the grid is looked at where a maximum can be. Immutable; any number of
@@ -38,7 +41,12 @@ class PeakFinder {
              const std::vector<Eigen::Vector3d>& mic_in_array_m,
              std::shared_ptr<const SrpPhat> srp);
 
-  Peaks Find(const AudioScan& scan) const;
+  // `memory` is to work in, and kept for the next scan.
+  Peaks Find(const AudioScan& scan, AudioScan& memory) const;
+  Peaks Find(const AudioScan& scan) const {
+    AudioScan memory;
+    return Find(scan, memory);
+  }
 
   // The likelihood of every direction of the grid. Directions that the array cannot tell from a
   // peak count as that peak; those of a reflection are undecided.
@@ -72,7 +80,9 @@ class PeakFinder {
                   std::span<const float> residual, double floor, double least_height) const;
   // The largest residual of the grid in one cell.
   Maximum LargestOf(const AudioScan& scan, std::span<const Removed> removed, int cell) const;
-  void AddFaint(const AudioScan& scan, std::span<const Removed> removed,
+  // The power in the centres of the cells.
+  void ReadCentres(const AudioScan& scan, std::vector<float>& residual) const;
+  void AddFaint(const AudioScan& scan, std::span<const Eigen::Vector3d> strong,
                 std::span<const float> residual, const Background& background, Peaks& found) const;
   std::vector<int> MaximaOf(const AudioScan& scan, const Background& background) const;
   // Of several directions that the array cannot tell apart always the same one.

@@ -1,10 +1,12 @@
 #include "acoustics/srp_phat.h"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 
 #include "absl/strings/str_cat.h"
 #include "acoustics/flush_denormals.h"
+#include "geometry/angles.h"
 
 namespace soundmap::acoustics {
 
@@ -30,8 +32,8 @@ absl::StatusOr<std::shared_ptr<const SrpPhat>> SrpPhat::Create(
   return std::shared_ptr<const SrpPhat>(std::move(srp));
 }
 
-absl::StatusOr<std::vector<Eigen::Vector3d>> SrpPhat::GroupPairs(
-    double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m) {
+absl::Status SrpPhat::GroupPairs(double speed_of_sound_mps,
+                                 const std::vector<Eigen::Vector3d>& mic_in_array_m) {
   constexpr double kSamePlace_m = 1e-6;
   constexpr double kSameDifference_m = 1e-6;
   std::vector<Eigen::Vector3d> difference_m;  // of the groups
@@ -56,41 +58,45 @@ absl::StatusOr<std::vector<Eigen::Vector3d>> SrpPhat::GroupPairs(
       target_.push_back(target);
     }
   }
-  groups_ = static_cast<int>(difference_m.size());
-  std::vector<int> order(groups_);
+  const int groups = static_cast<int>(difference_m.size());
+  std::vector<int> order(groups);
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(),
                    [&](int a, int b) { return difference_m[a].norm() > difference_m[b].norm(); });
-  std::vector<int> place(groups_);
-  std::vector<Eigen::Vector3d> delay_s;
+  std::vector<int> place(groups);
   for (const int group : order) {
-    place[group] = static_cast<int>(delay_s.size());
-    delay_s.emplace_back(difference_m[group] / speed_of_sound_mps);
+    place[group] = static_cast<int>(delay_s_.size());
+    delay_s_.emplace_back(difference_m[group] / speed_of_sound_mps);
   }
+  pairs_of_group_.assign(groups, 0.0f);
   for (PairTarget& target : target_) {
-    target.group = target.group < 0 ? groups_ : place[target.group];
+    target.group = target.group < 0 ? groups : place[target.group];
+    if (target.group < groups) pairs_of_group_[target.group] += 1.0f;
   }
-  return delay_s;
+  return absl::OkStatus();
 }
 
 absl::Status SrpPhat::Build(double speed_of_sound_mps,
                             const std::vector<Eigen::Vector3d>& mic_in_array_m) {
-  const auto delay_s = GroupPairs(speed_of_sound_mps, mic_in_array_m);
-  if (!delay_s.ok()) return delay_s.status();
-  harmonic_ = HarmonicSrp::Create(layout_, *delay_s, grid_);
+  absl::Status grouped = GroupPairs(speed_of_sound_mps, mic_in_array_m);
+  if (!grouped.ok()) return grouped;
+  harmonic_ = HarmonicSrp::Create(layout_, delay_s_, grid_);
   if (!harmonic_) {
-    auto look_up = LookUpSrp::Create(layout_, *delay_s, grid_);
+    auto look_up = LookUpSrp::Create(layout_, delay_s_, grid_);
     if (!look_up.ok()) return look_up.status();
     look_up_ = *std::move(look_up);
   }
   return absl::OkStatus();
 }
 
+std::size_t SrpPhat::cross_floats() const {
+  return (delay_s_.size() + 1) * static_cast<std::size_t>(PaddedToRow(layout_.bins));
+}
+
 void SrpPhat::Scan(const PhatSpectra& spectra, AudioScan& scan) const {
   const FlushDenormals flush;
-  // Cross-spectra, eq. (4), and past the last group the power of each microphone.
-  const std::size_t cross_floats = static_cast<std::size_t>(groups_ + 1) * spectra.width;
-  scan.workspace.resize(2 * cross_floats + (harmonic_ ? harmonic_->workspace_floats() : 0));
+  // Past the last group lies the power of each microphone.
+  scan.cross.resize(2 * cross_floats());
   CrossSpectra sum;
   sum.real = spectra.real.data();
   sum.imaginary = spectra.imaginary.data();
@@ -98,25 +104,87 @@ void SrpPhat::Scan(const PhatSpectra& spectra, AudioScan& scan) const {
   sum.microphones = microphones_;
   sum.width = spectra.width;
   sum.target = target_.data();
-  sum.groups = groups_ + 1;
-  sum.group_real = scan.workspace.data();
-  sum.group_imaginary = scan.workspace.data() + cross_floats;
+  sum.groups = static_cast<int>(delay_s_.size()) + 1;
+  sum.group_real = scan.cross.data();
+  sum.group_imaginary = scan.cross.data() + cross_floats();
   BestKernels().cross_spectra(sum);
 
-  // A pair counts twice: as (a, b) and as (b, a).
-  const float scale = 2.0f / (static_cast<float>(microphones_) * microphones_ * spectra.frames);
-  const float* own_power = sum.group_real + static_cast<std::size_t>(groups_) * spectra.width;
+  const float* own_power = sum.group_real + delay_s_.size() * spectra.width;
   scan.auto_power = 0.0f;
-  for (int b = 0; b < layout_.bins; ++b) scan.auto_power += 0.5f * scale * own_power[b];
+  for (int b = 0; b < layout_.bins; ++b) scan.auto_power += 0.5f * pair_scale() * own_power[b];
+  Steer(scan);
+}
+
+void SrpPhat::Without(const AudioScan& scan, std::span<const Eigen::Vector3d> directions,
+                      AudioScan& rest) const {
+  const FlushDenormals flush;
+  rest.cross = scan.cross;
+  rest.auto_power = scan.auto_power;
+  for (const Eigen::Vector3d& direction : directions) TakeOff(direction, rest);
+  Steer(rest);
+}
+
+void SrpPhat::TakeOff(const Eigen::Vector3d& direction, AudioScan& scan) const {
+  // The cross-spectra of a unit wave are e^{j w tau}. They go along the bins by kRowFloats at a
+  // time, each by one turn.
+  const auto width = static_cast<std::size_t>(PaddedToRow(layout_.bins));
+  const std::size_t groups = delay_s_.size();
+  const double first_rad_s = 2.0 * geometry::kPi * layout_.bin_hz(0);
+  const double bin_rad_s = 2.0 * geometry::kPi * (layout_.bin_hz(1) - layout_.bin_hz(0));
+  scan.workspace.resize(2 * groups * width + width);
+  float* cosines = scan.workspace.data();
+  float* sines = cosines + groups * width;
+  float* __restrict gain = sines + groups * width;
+  std::fill_n(gain, width, 0.0f);
+  float pairs = 0.0f;
+  for (std::size_t g = 0; g < groups; ++g) {
+    const double tau_s = delay_s_[g].dot(direction);
+    float* __restrict c = cosines + g * width;
+    float* __restrict s = sines + g * width;
+    for (int b = 0; b < kRowFloats; ++b) {
+      const double angle_rad = (first_rad_s + b * bin_rad_s) * tau_s;
+      c[b] = static_cast<float>(std::cos(angle_rad));
+      s[b] = static_cast<float>(std::sin(angle_rad));
+    }
+    const auto turn_real = static_cast<float>(std::cos(kRowFloats * bin_rad_s * tau_s));
+    const auto turn_imaginary = static_cast<float>(std::sin(kRowFloats * bin_rad_s * tau_s));
+    for (std::size_t b = kRowFloats; b < width; b += kRowFloats) {
+      for (std::size_t i = b; i < b + kRowFloats; ++i) {
+        c[i] = c[i - kRowFloats] * turn_real - s[i - kRowFloats] * turn_imaginary;
+        s[i] = c[i - kRowFloats] * turn_imaginary + s[i - kRowFloats] * turn_real;
+      }
+    }
+    const float* __restrict real = scan.cross.data() + g * width;
+    const float* __restrict imaginary = real + cross_floats();
+    for (std::size_t b = 0; b < width; ++b) gain[b] += real[b] * c[b] + imaginary[b] * s[b];
+    pairs += pairs_of_group_[g];
+  }
+  for (std::size_t b = 0; b < width; ++b) gain[b] = std::max(0.0f, gain[b] / pairs);
+  for (std::size_t g = 0; g < groups; ++g) {
+    const float* __restrict c = cosines + g * width;
+    const float* __restrict s = sines + g * width;
+    float* __restrict real = scan.cross.data() + g * width;
+    float* __restrict imaginary = real + cross_floats();
+    for (std::size_t b = 0; b < width; ++b) {
+      const float power = pairs_of_group_[g] * gain[b];
+      real[b] -= power * c[b];
+      imaginary[b] -= power * s[b];
+    }
+  }
+}
+
+void SrpPhat::Steer(AudioScan& scan) const {
+  const int width = PaddedToRow(layout_.bins);
+  const float* real = scan.cross.data();
+  const float* imaginary = real + cross_floats();
   scan.power.resize(grid_.size());
   if (harmonic_) {
-    float* workspace = scan.workspace.data() + 2 * cross_floats;
-    harmonic_->Expand(sum.group_real, sum.group_imaginary, spectra.width, scale, scan.auto_power,
-                      workspace, scan.harmonics);
-    harmonic_->Synthesize(scan.harmonics, workspace, scan.power);
+    scan.workspace.resize(harmonic_->workspace_floats());
+    harmonic_->Expand(real, imaginary, width, pair_scale(), scan.auto_power, scan.workspace.data(),
+                      scan.harmonics);
+    harmonic_->Synthesize(scan.harmonics, scan.workspace.data(), scan.power);
   } else {
-    scan.correlation =
-        look_up_->Correlate(sum.group_real, sum.group_imaginary, spectra.width, scale);
+    scan.correlation = look_up_->Correlate(real, imaginary, width, pair_scale());
     look_up_->Read(scan.correlation, scan.auto_power, scan.power);
   }
 }

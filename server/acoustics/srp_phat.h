@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -23,6 +24,8 @@ struct AudioScan {
   std::vector<float> harmonics;
   std::vector<float> correlation;
   float auto_power = 0.0f;
+  // Cross-spectra of the microphone pairs, eq. (4): rows of bins, real parts and then imaginary.
+  std::vector<float> cross;
   std::vector<float> workspace;  // what it was computed in, kept for the next scan
 };
 
@@ -53,6 +56,12 @@ class SrpPhat {
     return scan;
   }
 
+  // Into `rest`: the scan without plane waves from these directions, strongest first. Each takes
+  // with it what is left in its direction of every bin (CLEAN, bin by bin), whatever its spectrum;
+  // the part of S that is the same in every direction stays.
+  void Without(const AudioScan& scan, std::span<const Eigen::Vector3d> directions,
+               AudioScan& rest) const;
+
   // S of eq. (5) in any direction.
   double PowerAt(const AudioScan& scan, const Eigen::Vector3d& direction) const;
 
@@ -65,14 +74,25 @@ class SrpPhat {
   SrpPhat(const FrameLayout& layout, geometry::DirectionGrid grid, int microphones)
       : layout_(layout), grid_(std::move(grid)), microphones_(microphones) {}
   // The pairs' delay vectors (p_a - p_b) / c, longest first, those that are equal once.
-  absl::StatusOr<std::vector<Eigen::Vector3d>> GroupPairs(
-      double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m);
+  absl::Status GroupPairs(double speed_of_sound_mps,
+                          const std::vector<Eigen::Vector3d>& mic_in_array_m);
   absl::Status Build(double speed_of_sound_mps, const std::vector<Eigen::Vector3d>& mic_in_array_m);
+
+  // A plane wave, off the cross-spectra of `scan`.
+  void TakeOff(const Eigen::Vector3d& direction, AudioScan& scan) const;
+  // All but the cross-spectra and auto_power of `scan`, from them.
+  void Steer(AudioScan& scan) const;
+  std::size_t cross_floats() const;  // of all real parts
+  // A pair counts twice: as (a, b) and as (b, a).
+  float pair_scale() const {
+    return 2.0f / (static_cast<float>(microphones_) * microphones_ * layout_.frames_per_scan);
+  }
 
   FrameLayout layout_;
   geometry::DirectionGrid grid_;
   int microphones_;
-  int groups_ = 0;                  // of pairs with one delay vector
+  std::vector<Eigen::Vector3d> delay_s_;  // of the groups of pairs with one delay vector
+  std::vector<float> pairs_of_group_;
   std::vector<PairTarget> target_;  // of a <= b; those of a = b belong to a group past the last
   std::unique_ptr<const HarmonicSrp> harmonic_;  // one or the other
   std::unique_ptr<const LookUpSrp> look_up_;

@@ -13,11 +13,10 @@ constexpr double kMaxPast = 32.0;
 // Robots whose present views are told apart.
 constexpr std::size_t kMaxPresent = 16;
 
-constexpr double kLogOddsBefore = -3.9;
-constexpr double kEvidencePower = 0.36;
-constexpr double kHeardPower = 2.94;
-constexpr double kViewsPower = 0.53;
-constexpr double kMaxEvidence = 1000.0;
+constexpr double kLogOddsBefore = -7.09;
+constexpr double kEvidencePower = 1.30;
+constexpr double kHeardPower = 1.33;
+constexpr double kMaxEvidence = 200.0;
 
 bool Heard(const View& view) {
   return view.with_maximum > 0 && view.with_maximum >= kLeastHeard * view.scans;
@@ -48,6 +47,7 @@ void Views::End(const View& view) {
     past_heard /= 2.0;
   }
   past += 1.0;
+  ended += 1.0;
   if (Heard(view)) past_heard += 1.0;
 }
 
@@ -58,8 +58,9 @@ double Views::heard() const {
 }
 
 double LogOddsByViews(double evidence, const Views& views) {
-  return kLogOddsBefore + kEvidencePower * std::log(std::min(evidence, kMaxEvidence)) +
-         kHeardPower * std::log(views.heard() + 1.0) - kViewsPower * std::log(views.count() + 1.0);
+  const double counted = std::min(evidence * views.kept_share(), kMaxEvidence);
+  return kLogOddsBefore + kEvidencePower * std::log(counted) +
+         kHeardPower * std::log(views.heard() + 1.0);
 }
 
 }  // namespace soundmap::sound_map

@@ -5,6 +5,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <limits>
 
 #include "acoustics/beam_pattern.h"
@@ -43,23 +44,33 @@ struct OracleCase {
   double f_max_hz;
 };
 
-class SrpPhatOracle : public ::testing::TestWithParam<OracleCase> {};
+class SrpPhatOracle : public ::testing::TestWithParam<OracleCase> {
+ protected:
+  SrpPhatOracle() : random(GetParam().rate_hz + GetParam().microphones) {
+    const OracleCase& c = GetParam();
+    AcousticsConfig config;
+    config.frames_per_scan = c.frames;
+    config.f_min_hz = c.f_min_hz;
+    config.f_max_hz = c.f_max_hz;
+    layout = FrameLayout::Create(config, c.rate_hz).value();
+    microphones = RandomArray(c.microphones, c.radius_m, random);
+    const Eigen::Matrix3d mounting =
+        Eigen::AngleAxisd(0.7, RandomDirection(random)).toRotationMatrix();
+    for (Eigen::Vector3d& mic : microphones) mic = mounting * mic.cwiseProduct(c.squeeze);
+    sources = {RandomDirection(random), RandomDirection(random)};
+    samples = testing::Record(microphones, c.rate_hz, layout.scan_samples(),
+                              {{sources[0], 1500.0}, {sources[1], 700.0}}, 300.0, random);
+  }
+
+  std::mt19937_64 random;
+  FrameLayout layout;
+  Microphones microphones;
+  std::vector<Eigen::Vector3d> sources;
+  std::vector<std::int16_t> samples;
+};
 
 TEST_P(SrpPhatOracle, EqualsALiteralTranscriptionInDouble) {
   const OracleCase& c = GetParam();
-  std::mt19937_64 random(c.rate_hz + c.microphones);
-  AcousticsConfig config;
-  config.frames_per_scan = c.frames;
-  config.f_min_hz = c.f_min_hz;
-  config.f_max_hz = c.f_max_hz;
-  const FrameLayout layout = FrameLayout::Create(config, c.rate_hz).value();
-  Microphones microphones = RandomArray(c.microphones, c.radius_m, random);
-  const Eigen::Matrix3d mounting =
-      Eigen::AngleAxisd(0.7, RandomDirection(random)).toRotationMatrix();
-  for (Eigen::Vector3d& mic : microphones) mic = mounting * mic.cwiseProduct(c.squeeze);
-  const auto samples = testing::Record(
-      microphones, c.rate_hz, layout.scan_samples(),
-      {{RandomDirection(random), 1500.0}, {RandomDirection(random), 700.0}}, 300.0, random);
   const testing::LiteralSpectra literal = testing::LiteralPhat(layout, c.microphones, samples);
   Stft stft(layout, c.microphones);
   // Without rings and with them.
@@ -72,6 +83,61 @@ TEST_P(SrpPhatOracle, EqualsALiteralTranscriptionInDouble) {
       ASSERT_NEAR(scan.power[i], power, 1e-5 * layout.bins) << "direction " << i;
       ASSERT_NEAR(srp->PowerAt(scan, grid[i]), power, 1e-5 * layout.bins) << "direction " << i;
       ASSERT_GE(scan.power[i], -1e-5 * layout.bins);
+    }
+  }
+}
+
+// Bin by bin, in turn: the mean over the microphone pairs of their cross-spectra turned back to the
+// direction is the wave's power, if it is one; its cross-spectra are taken off.
+TEST_P(SrpPhatOracle, WithoutWavesEqualsTheDefinitionInDouble) {
+  const OracleCase& c = GetParam();
+  const PhatSpectra spectra = Stft(layout, c.microphones).Analyze(samples);
+  std::vector<Eigen::MatrixXcd> cross(layout.bins);  // means over the frames
+  for (int b = 0; b < layout.bins; ++b) {
+    cross[b] = Eigen::MatrixXcd::Zero(c.microphones, c.microphones);
+    for (int t = 0; t < spectra.frames; ++t) {
+      Eigen::VectorXcd v(c.microphones);
+      for (int n = 0; n < c.microphones; ++n) {
+        v[n] = {spectra.real[spectra.index(t, n, b)], spectra.imaginary[spectra.index(t, n, b)]};
+      }
+      cross[b] += v * v.adjoint() / static_cast<double>(spectra.frames);
+    }
+  }
+  const auto steering = [&](int b, const Eigen::Vector3d& direction) {
+    Eigen::VectorXcd wave(c.microphones);
+    for (int n = 0; n < c.microphones; ++n) {
+      wave[n] = std::polar(1.0, 2.0 * kPi * layout.bin_hz(b) * microphones[n].dot(direction) /
+                                    kSpeedOfSound_mps);
+    }
+    return wave;
+  };
+  for (Eigen::MatrixXcd& of_bin : cross) {
+    const int b = static_cast<int>(&of_bin - cross.data());
+    for (const Eigen::Vector3d& source : sources) {
+      const Eigen::VectorXcd wave = steering(b, source);
+      Eigen::MatrixXcd pairs = of_bin;
+      pairs.diagonal().setZero();
+      const double power = std::max(0.0, wave.dot(pairs * wave).real()) /
+                           (c.microphones * (c.microphones - 1.0));
+      Eigen::MatrixXcd of_wave = power * wave * wave.adjoint();
+      of_wave.diagonal().setZero();
+      of_bin -= of_wave;
+    }
+  }
+  for (const DirectionGrid& grid :
+       {RandomGrid(50, random), DirectionGrid::EqualArea(geometry::RadFromDeg(20.0))}) {
+    const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
+    const AudioScan scan = srp->Scan(spectra);
+    AudioScan rest;
+    srp->Without(scan, sources, rest);
+    for (int i = 0; i < grid.size(); i += 1 + grid.size() / 50) {
+      double power = 0.0;
+      for (int b = 0; b < layout.bins; ++b) {
+        const Eigen::VectorXcd wave = steering(b, grid[i]);
+        power += wave.dot(cross[b] * wave).real() / (c.microphones * c.microphones);
+      }
+      ASSERT_NEAR(rest.power[i], power, 2e-5 * layout.bins) << "direction " << i;
+      ASSERT_NEAR(srp->PowerAt(rest, grid[i]), power, 2e-5 * layout.bins) << "direction " << i;
     }
   }
 }

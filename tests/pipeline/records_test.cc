@@ -174,6 +174,7 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   track.views.present = {{"r1", {{1.0, 2.0}, 12, 3}}, {"r2", {{-1.0, 4.0}, 5, 1}}};
   track.views.past = 6.5;
   track.views.past_heard = 2.25;
+  track.views.ended = 70.0;
   track.mirrors.scans = 40.0;
   track.mirrors.with = {{3, 20.0}, {9, 1.5}};
   state.scans = {{"r1", 3}};
@@ -181,8 +182,8 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   const std::string bytes = EncodeSourceRegisters({state, {}});
   boost::crc_32_type checksum;
   checksum.process_bytes(bytes.data(), bytes.size());
-  EXPECT_EQ(bytes.size(), 1528u);
-  EXPECT_EQ(checksum.checksum(), 0x74391ad9);
+  EXPECT_EQ(bytes.size(), 1544u);
+  EXPECT_EQ(checksum.checksum(), 0x12b5e18b);
   const auto read = DecodeSourceRegisters(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
   ASSERT_EQ(read->size(), 2u);
@@ -193,6 +194,7 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   EXPECT_EQ(tracks[1].source.view_points, track.source.view_points);
   EXPECT_EQ(tracks[1].views.present, track.views.present);
   EXPECT_EQ(tracks[1].views.past_heard, 2.25);
+  EXPECT_EQ(tracks[1].views.ended, 70.0);
   EXPECT_EQ(tracks[1].mirrors.scans, 40.0);
   EXPECT_EQ(tracks[1].mirrors.with, track.mirrors.with);
 

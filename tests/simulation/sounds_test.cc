@@ -72,6 +72,20 @@ TEST(Sounds, SpectraAreThoseOfTheirKinds) {
   EXPECT_GT(DensityDb(hum, 1000, 1000) - DensityDb(hum, 1047, 1047), 10.0);
 }
 
+// The long-term average of speech in twelve languages (Byrne et al., JASA 96, 1994), octaves
+// against that of 500 Hz: summed from the third octaves of the combined table.
+TEST(Sounds, SpeechHasTheSpectrumOfSpeech) {
+  const auto octave_db = [speech = Play(SoundKind::kSpeech, 60.0)](double middle_hz) {
+    return DensityDb(speech, middle_hz / std::sqrt(2.0), middle_hz * std::sqrt(2.0)) +
+           10.0 * std::log10(middle_hz);
+  };
+  const double at_500_hz = octave_db(500.0);
+  EXPECT_NEAR(octave_db(250.0) - at_500_hz, -1.8, 4.0);
+  EXPECT_NEAR(octave_db(1000.0) - at_500_hz, -6.8, 4.0);
+  EXPECT_NEAR(octave_db(2000.0) - at_500_hz, -11.7, 4.0);
+  EXPECT_NEAR(octave_db(4000.0) - at_500_hz, -15.9, 4.0);
+}
+
 TEST(Sounds, SpeechHasPausesAndLoudParts) {
   const auto speech = Play(SoundKind::kSpeech, 60.0);
   int quiet = 0, frames = 0;

@@ -73,6 +73,7 @@ TEST(Views, OldOnesAreForgottenAndTheShareStays) {
   for (int view = 0; view < 4000; ++view) {
     views.Add("r1", Eigen::Vector2d(2.0 * view, 0.0), view % 4 == 0, kSpacing_m);
     EXPECT_LE(views.count(), 34.0);
+    EXPECT_NEAR(views.kept_share(), views.count() / (view + 1.0), 1e-12);
     if (view > 100) {
       EXPECT_NEAR(views.heard() / views.count(), 0.25, 0.05);
     }
@@ -97,14 +98,15 @@ TEST(Views, TheOddsAreThoseOfTheRegression) {
   Views views;
   views.past = 6.0;
   views.past_heard = 2.5;
+  views.ended = 14.0;
   views.Add("r1", Eigen::Vector2d::Zero(), true, kSpacing_m);
   views.Add("r2", Eigen::Vector2d::Zero(), false, kSpacing_m);
-  const auto odds = [](double evidence, double h, double n) {
-    return std::exp(-3.9) * std::pow(evidence, 0.36) * std::pow(h + 1.0, 2.94) /
-           std::pow(n + 1.0, 0.53);
+  const auto odds = [](double evidence, double h) {
+    return std::exp(-7.09) * std::pow(evidence, 1.30) * std::pow(h + 1.0, 1.33);
   };
-  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views)), odds(150.0, 3.5, 8.0), 1e-9);
-  EXPECT_NEAR(std::exp(LogOddsByViews(1e6, views)), odds(1000.0, 3.5, 8.0), 1e-9);
+  // 8 of 16 views are kept.
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views)), odds(75.0, 3.5), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(1e6, views)), odds(200.0, 3.5), 1e-9);
 }
 
 }  // namespace

@@ -196,11 +196,11 @@ class Speech {
       pulse = tilt_(pulse + 0.05 * noise_());
     }
     double vowel = 0.0;
-    constexpr double kStrength[] = {1.0, 0.6, 0.35};
-    for (int i = 0; i < 3; ++i) vowel += kStrength[i] * formants_[i](pulse * envelope);
+    constexpr double kStrength[] = {1.0, 2.0, 2.4, 1.8};
+    for (int i = 0; i < 4; ++i) vowel += kStrength[i] * formants_[i](pulse * envelope);
     const double fricative =
         part_ == Part::kFricative ? fricative_(noise_()) * envelope : fricative_(0.0);
-    return vowel + 0.25 * fricative;
+    return vowel + 1.6 * fricative;
   }
 
  private:
@@ -221,6 +221,7 @@ class Speech {
       formants_[0].Tune(Uniform(engine_, 280.0, 800.0), 80.0, fs_);
       formants_[1].Tune(Uniform(engine_, 900.0, 2200.0), 110.0, fs_);
       formants_[2].Tune(Uniform(engine_, 2300.0, 3000.0), 160.0, fs_);
+      formants_[3].Tune(Uniform(engine_, 3300.0, 4000.0), 250.0, fs_);
       Start(Uniform(engine_, 0.1, 0.26));
     }
   }
@@ -233,7 +234,7 @@ class Speech {
   Engine engine_;
   Noise noise_;
   FirstOrder tilt_;
-  Resonator formants_[3], fricative_;
+  Resonator formants_[4], fricative_;
   Part part_ = Part::kPause;
   double pitch_hz_ = 0.0, bend_ = 1.0, phase_ = 0.0;
   int left_ = 0, length_ = 1, syllables_ = 3;
