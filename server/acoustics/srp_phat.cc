@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <numeric>
 
 #include "absl/strings/str_cat.h"
@@ -125,8 +126,8 @@ void SrpPhat::Without(const AudioScan& scan, std::span<const Eigen::Vector3d> di
 }
 
 void SrpPhat::TakeOff(const Eigen::Vector3d& direction, AudioScan& scan) const {
-  // The cross-spectra of a unit wave are e^{j w tau}. They go along the bins by kRowFloats at a
-  // time, each by one turn.
+  // The cross-spectra of a unit wave are e^{j w tau}. They are turned along the bins, kRowFloats of
+  // them at a time.
   const auto width = static_cast<std::size_t>(PaddedToRow(layout_.bins));
   const std::size_t groups = delay_s_.size();
   const double first_rad_s = 2.0 * geometry::kPi * layout_.bin_hz(0);
@@ -141,13 +142,15 @@ void SrpPhat::TakeOff(const Eigen::Vector3d& direction, AudioScan& scan) const {
     const double tau_s = delay_s_[g].dot(direction);
     float* __restrict c = cosines + g * width;
     float* __restrict s = sines + g * width;
-    for (int b = 0; b < kRowFloats; ++b) {
-      const double angle_rad = (first_rad_s + b * bin_rad_s) * tau_s;
-      c[b] = static_cast<float>(std::cos(angle_rad));
-      s[b] = static_cast<float>(std::sin(angle_rad));
+    std::complex<double> wave = std::polar(1.0, first_rad_s * tau_s);
+    const std::complex<double> step = std::polar(1.0, bin_rad_s * tau_s);
+    std::complex<double> turn = 1.0;  // kRowFloats bins on
+    for (int b = 0; b < kRowFloats; ++b, wave *= step, turn *= step) {
+      c[b] = static_cast<float>(wave.real());
+      s[b] = static_cast<float>(wave.imag());
     }
-    const auto turn_real = static_cast<float>(std::cos(kRowFloats * bin_rad_s * tau_s));
-    const auto turn_imaginary = static_cast<float>(std::sin(kRowFloats * bin_rad_s * tau_s));
+    const auto turn_real = static_cast<float>(turn.real());
+    const auto turn_imaginary = static_cast<float>(turn.imag());
     for (std::size_t b = kRowFloats; b < width; b += kRowFloats) {
       for (std::size_t i = b; i < b + kRowFloats; ++i) {
         c[i] = c[i - kRowFloats] * turn_real - s[i - kRowFloats] * turn_imaginary;

@@ -51,8 +51,8 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::Track& tra
   archive& track.source& track.judged_ns& track.log_odds_on& track.found_ns& track
       .active_until_ns& track.left& track.listened_scans& track.heard_scans& track.sure_scans& track
       .silent_s& track.announced& track.position_scans& track.mean_in_map_m& track.scatter_m2& track
-      .views.present& track.views.past& track.views.past_heard& track.views.ended& track
-      .mirrors.scans& track.mirrors.with;
+      .views.present& track.views.past& track.views.past_heard& track.views.ended& track.mirrors
+      .scans& track.mirrors.with;
 }
 
 template <class Archive>

@@ -41,8 +41,9 @@ struct Views {
 };
 
 // That a place is a source, by its evidence e (see sound_sources.h; above 0) and the h views that
-// heard it: the odds are exp(-7.09) e^1.30 (h + 1)^1.33. By logistic regression over 1044 candidates
-// of 83 simulated rooms. Of the evidence, the share counts that views are kept of, and 200 at most.
+// heard it: the odds are exp(-7.09) e^1.30 (h + 1)^1.33. By logistic regression over 1044
+// candidates of 83 simulated rooms. Of the evidence, the share counts that views are kept of, and
+// 200 at most.
 double LogOddsByViews(double evidence, const Views& views);
 
 }  // namespace soundmap::sound_map

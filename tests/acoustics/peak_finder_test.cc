@@ -43,8 +43,7 @@ class PlainPeaks {
       if (!(*largest > noise_floor + least_height)) break;
       const Eigen::Vector3d direction = Climb(scan, removed, grid[largest - residual.begin()]);
       const double power = std::max(*largest, ResidualAt(scan, removed, direction));
-      const double gain =
-          (power - std::max(noise_floor, incoherent)) / (layout_.bins - incoherent);
+      const double gain = (power - std::max(noise_floor, incoherent)) / (layout_.bins - incoherent);
       std::vector<double> rest = residual;
       for (int i = 0; i < grid.size(); ++i) {
         rest[i] -= gain * (Response(direction, grid[i]) - incoherent);

@@ -106,8 +106,8 @@ TEST_P(SrpPhatOracle, WithoutWavesEqualsTheDefinitionInDouble) {
   const auto steering = [&](int b, const Eigen::Vector3d& direction) {
     Eigen::VectorXcd wave(c.microphones);
     for (int n = 0; n < c.microphones; ++n) {
-      wave[n] = std::polar(1.0, 2.0 * kPi * layout.bin_hz(b) * microphones[n].dot(direction) /
-                                    kSpeedOfSound_mps);
+      wave[n] = std::polar(
+          1.0, 2.0 * kPi * layout.bin_hz(b) * microphones[n].dot(direction) / kSpeedOfSound_mps);
     }
     return wave;
   };
@@ -117,8 +117,8 @@ TEST_P(SrpPhatOracle, WithoutWavesEqualsTheDefinitionInDouble) {
       const Eigen::VectorXcd wave = steering(b, source);
       Eigen::MatrixXcd pairs = of_bin;
       pairs.diagonal().setZero();
-      const double power = std::max(0.0, wave.dot(pairs * wave).real()) /
-                           (c.microphones * (c.microphones - 1.0));
+      const double power =
+          std::max(0.0, wave.dot(pairs * wave).real()) / (c.microphones * (c.microphones - 1.0));
       Eigen::MatrixXcd of_wave = power * wave * wave.adjoint();
       of_wave.diagonal().setZero();
       of_bin -= of_wave;
