@@ -211,6 +211,50 @@ TEST(PeakFinder, FindsWhatPlainPeakRemovalFinds) {
   EXPECT_GT(peaks, 40);
 }
 
+// A hiss fills the upper half of the band. Its side lobes, narrower than the beam's mean over the
+// band has them, hide nothing once it is taken off bin by bin.
+TEST(PeakFinder, HearsAFaintSourceBesideALoudOneOfAnotherSpectrum) {
+  const DirectionGrid grid = DirectionGrid::EqualArea(geometry::RadFromDeg(3.0));
+  const FrameLayout layout = FrameLayout::Create({}, 16000).value();
+  constexpr int kMicrophones = 8;
+  constexpr int kScans = 60;
+  std::mt19937_64 random(21);
+  std::normal_distribution<double> normal;
+  const auto amplitude = [&](double rms) {
+    return rms * std::complex<double>(normal(random), normal(random));
+  };
+  const Microphones microphones = testing::RandomArray(kMicrophones, 0.15, random);
+  const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
+  const PeakFinder finder({}, layout, kSpeedOfSound_mps, microphones, srp);
+  int heard = 0;
+  for (int scan = 0; scan < kScans; ++scan) {
+    const Eigen::Vector3d loud = RandomDirection(random);
+    Eigen::Vector3d faint = RandomDirection(random);
+    while (AngleBetween_deg(loud, faint) < 60.0) faint = RandomDirection(random);
+    PhatSpectra spectra(layout.frames_per_scan, kMicrophones, layout.bins);
+    for (int t = 0; t < spectra.frames; ++t) {
+      for (int b = 0; b < layout.bins; ++b) {
+        const std::complex<double> hiss = amplitude(2 * b < layout.bins ? 0.0 : 1.0);
+        const std::complex<double> hum = amplitude(0.10);
+        const double wave_number = 2.0 * kPi * layout.bin_hz(b) / kSpeedOfSound_mps;
+        for (int n = 0; n < kMicrophones; ++n) {
+          std::complex<double> sound =
+              hiss * std::polar(1.0, wave_number * microphones[n].dot(loud)) +
+              hum * std::polar(1.0, wave_number * microphones[n].dot(faint)) + amplitude(0.25);
+          sound /= std::abs(sound);
+          spectra.real[spectra.index(t, n, b)] = static_cast<float>(sound.real());
+          spectra.imaginary[spectra.index(t, n, b)] = static_cast<float>(sound.imag());
+        }
+      }
+    }
+    const Peaks found = finder.Find(srp->Scan(spectra));
+    heard += std::any_of(found.peaks.begin(), found.peaks.end(), [&](const Peak& peak) {
+      return AngleBetween_deg(peak.direction_in_array, faint) < 6.0;
+    });
+  }
+  EXPECT_GE(heard, 57);  // with the beam's mean over the band alone: 3
+}
+
 // A source too faint for a single scan's certainty is heard in many scans all the same, from one
 // direction; noise puts a faint peak there in hardly any.
 TEST(PeakFinder, FaintPeaksComeFromFaintSourcesAgainAndAgain) {

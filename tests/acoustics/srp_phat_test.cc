@@ -33,6 +33,59 @@ int IndexOfMax(const std::vector<float>& power) {
   return static_cast<int>(std::max_element(power.begin(), power.end()) - power.begin());
 }
 
+// The definition of Without() in double, bin by bin, one wave after the other: the mean over the
+// microphone pairs of their cross-spectra, turned back to the direction, is the wave's power, if it
+// is positive; its cross-spectra are taken off.
+class LiteralRest {
+ public:
+  LiteralRest(const FrameLayout& layout, const Microphones& microphones, const PhatSpectra& spectra,
+              const std::vector<Eigen::Vector3d>& sources)
+      : layout_(layout), microphones_(microphones) {
+    const auto count = static_cast<Eigen::Index>(microphones.size());
+    for (int b = 0; b < layout.bins; ++b) {
+      Eigen::MatrixXcd cross = Eigen::MatrixXcd::Zero(count, count);  // mean over the frames
+      for (int t = 0; t < spectra.frames; ++t) {
+        Eigen::VectorXcd v(count);
+        for (int n = 0; n < count; ++n) {
+          v[n] = {spectra.real[spectra.index(t, n, b)], spectra.imaginary[spectra.index(t, n, b)]};
+        }
+        cross += v * v.adjoint() / static_cast<double>(spectra.frames);
+      }
+      for (const Eigen::Vector3d& source : sources) {
+        const Eigen::VectorXcd wave = Wave(b, source);
+        const double of_pairs = wave.dot(cross * wave).real() - cross.trace().real();
+        Eigen::MatrixXcd of_wave = wave * wave.adjoint();
+        of_wave.diagonal().setZero();
+        cross -= std::max(0.0, of_pairs) / (count * (count - 1.0)) * of_wave;
+      }
+      cross_.push_back(cross);
+    }
+  }
+
+  double PowerAt(const Eigen::Vector3d& direction) const {
+    double power = 0.0;
+    for (int b = 0; b < layout_.bins; ++b) {
+      const Eigen::VectorXcd wave = Wave(b, direction);
+      power += wave.dot(cross_[b] * wave).real() / (wave.squaredNorm() * wave.squaredNorm());
+    }
+    return power;
+  }
+
+ private:
+  Eigen::VectorXcd Wave(int b, const Eigen::Vector3d& direction) const {
+    Eigen::VectorXcd wave(static_cast<Eigen::Index>(microphones_.size()));
+    for (std::size_t n = 0; n < microphones_.size(); ++n) {
+      const double delay_s = microphones_[n].dot(direction) / kSpeedOfSound_mps;
+      wave[static_cast<Eigen::Index>(n)] = std::polar(1.0, 2.0 * kPi * layout_.bin_hz(b) * delay_s);
+    }
+    return wave;
+  }
+
+  const FrameLayout& layout_;
+  const Microphones& microphones_;
+  std::vector<Eigen::MatrixXcd> cross_;
+};
+
 struct OracleCase {
   const char* name;
   int rate_hz;
@@ -87,43 +140,9 @@ TEST_P(SrpPhatOracle, EqualsALiteralTranscriptionInDouble) {
   }
 }
 
-// Bin by bin, in turn: the mean over the microphone pairs of their cross-spectra turned back to the
-// direction is the wave's power, if it is one; its cross-spectra are taken off.
 TEST_P(SrpPhatOracle, WithoutWavesEqualsTheDefinitionInDouble) {
-  const OracleCase& c = GetParam();
-  const PhatSpectra spectra = Stft(layout, c.microphones).Analyze(samples);
-  std::vector<Eigen::MatrixXcd> cross(layout.bins);  // means over the frames
-  for (int b = 0; b < layout.bins; ++b) {
-    cross[b] = Eigen::MatrixXcd::Zero(c.microphones, c.microphones);
-    for (int t = 0; t < spectra.frames; ++t) {
-      Eigen::VectorXcd v(c.microphones);
-      for (int n = 0; n < c.microphones; ++n) {
-        v[n] = {spectra.real[spectra.index(t, n, b)], spectra.imaginary[spectra.index(t, n, b)]};
-      }
-      cross[b] += v * v.adjoint() / static_cast<double>(spectra.frames);
-    }
-  }
-  const auto steering = [&](int b, const Eigen::Vector3d& direction) {
-    Eigen::VectorXcd wave(c.microphones);
-    for (int n = 0; n < c.microphones; ++n) {
-      wave[n] = std::polar(
-          1.0, 2.0 * kPi * layout.bin_hz(b) * microphones[n].dot(direction) / kSpeedOfSound_mps);
-    }
-    return wave;
-  };
-  for (Eigen::MatrixXcd& of_bin : cross) {
-    const int b = static_cast<int>(&of_bin - cross.data());
-    for (const Eigen::Vector3d& source : sources) {
-      const Eigen::VectorXcd wave = steering(b, source);
-      Eigen::MatrixXcd pairs = of_bin;
-      pairs.diagonal().setZero();
-      const double power =
-          std::max(0.0, wave.dot(pairs * wave).real()) / (c.microphones * (c.microphones - 1.0));
-      Eigen::MatrixXcd of_wave = power * wave * wave.adjoint();
-      of_wave.diagonal().setZero();
-      of_bin -= of_wave;
-    }
-  }
+  const PhatSpectra spectra = Stft(layout, GetParam().microphones).Analyze(samples);
+  const LiteralRest expected(layout, microphones, spectra, sources);
   for (const DirectionGrid& grid :
        {RandomGrid(50, random), DirectionGrid::EqualArea(geometry::RadFromDeg(20.0))}) {
     const auto srp = SrpPhat::Create(layout, kSpeedOfSound_mps, microphones, grid).value();
@@ -131,11 +150,7 @@ TEST_P(SrpPhatOracle, WithoutWavesEqualsTheDefinitionInDouble) {
     AudioScan rest;
     srp->Without(scan, sources, rest);
     for (int i = 0; i < grid.size(); i += 1 + grid.size() / 50) {
-      double power = 0.0;
-      for (int b = 0; b < layout.bins; ++b) {
-        const Eigen::VectorXcd wave = steering(b, grid[i]);
-        power += wave.dot(cross[b] * wave).real() / (c.microphones * c.microphones);
-      }
+      const double power = expected.PowerAt(grid[i]);
       ASSERT_NEAR(rest.power[i], power, 2e-5 * layout.bins) << "direction " << i;
       ASSERT_NEAR(srp->PowerAt(rest, grid[i]), power, 2e-5 * layout.bins) << "direction " << i;
     }
@@ -168,8 +183,13 @@ TEST(SrpPhat, EqualDifferenceVectorsAreMergedExactly) {
                                        {{RandomDirection(random)}}, 800.0, random);
   const PhatSpectra spectra = Stft(layout, 8).Analyze(samples);
   const AudioScan scan = srp->Scan(spectra);
+  const std::vector<Eigen::Vector3d> sources = {RandomDirection(random)};
+  const LiteralRest expected(layout, cube, spectra, sources);
+  AudioScan rest;
+  srp->Without(scan, sources, rest);
   for (int i = 0; i < grid.size(); ++i) {
     EXPECT_NEAR(scan.power[i], LiteralPower(layout, cube, spectra, grid[i]), 1e-5 * layout.bins);
+    EXPECT_NEAR(rest.power[i], expected.PowerAt(grid[i]), 2e-5 * layout.bins);
   }
 }
 
