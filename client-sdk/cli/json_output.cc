@@ -250,6 +250,7 @@ Json ToJson(const SoundSource& source) {
     }
   }
   if (source.mirror_in_map_m) json["mirror_position_m"] = ToJson(*source.mirror_in_map_m);
+  if (!source.explained_by.empty()) json["explained_by"] = source.explained_by;
   if (!source.band.empty()) json["band"] = source.band;
   return json;
 }

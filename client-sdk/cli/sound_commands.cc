@@ -67,6 +67,11 @@ absl::Status Sources(Client& client, const SourcesArguments& arguments) {
   }
   table.Print(std::cout);
   for (const SoundSource& source : list->sources) {
+    if (source.explained_by.empty()) continue;
+    std::cout << source.id << " may be a ghost of " << source.explained_by
+              << ", heard in its direction or mirrored.\n";
+  }
+  for (const SoundSource& source : list->sources) {
     if (!source.mirror_in_map_m) continue;
     const Vector3& p = *source.mirror_in_map_m;
     std::cout << source.id << " may be at " << Fixed(p.x, 2) << ' ' << Fixed(p.y, 2) << ' '

@@ -258,6 +258,9 @@ SoundSource FromProto(const v1::SoundSource& wire) {
     if (band.has_spl_db()) level.spl_db = band.spl_db();
   }
   if (wire.has_mirror_position_m()) source.mirror_in_map_m = FromProto(wire.mirror_position_m());
+  if (!wire.explained_by().empty()) {
+    source.explained_by = IdIn(wire.explained_by(), "soundSources");
+  }
   source.band = wire.band();
   return source;
 }

@@ -14,6 +14,8 @@ struct Peak {
   Eigen::Vector3d direction_in_array = Eigen::Vector3d::UnitX();  // unit vector, array to source
   double power = 0.0;       // S of eq. (5), less the responses of the peaks found before
   bool reflection = false;  // the mirror image of a stronger peak's source: no evidence
+  // Of the flat surface where its direction ends, towards the array; 0: none such is known.
+  Eigen::Vector3d surface_normal_in_array = Eigen::Vector3d::Zero();
 };
 
 // The result of section IV for one audio scan: the likelihood of a sound source in each candidate

@@ -227,6 +227,9 @@ v1::SoundSource ToProto(const std::string& site, const std::string& band,
     level->set_level_db(*spectrum_db[band]);
     if (spectrum_spl_db[band]) level->set_spl_db(*spectrum_spl_db[band]);
   }
+  if (registered.explained_by_id != 0) {
+    proto.set_explained_by(SoundSourceResource(site, SourceId(band, registered.explained_by_id)));
+  }
   if (registered.mirror_in_map_m) {
     Set(proto.mutable_mirror_position_m(), *registered.mirror_in_map_m);
   }

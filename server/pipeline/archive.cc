@@ -31,14 +31,15 @@ void serialize(Archive& archive, soundmap::sound_map::ArrayPlane& plane, unsigne
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::sound_map::ViewPoint& view_point, unsigned) {
-  archive& view_point.place_in_map_m& view_point.level_scans& view_point.power_at_1m& view_point
-      .spl_scans& view_point.squared_pressure_at_1m;
+  archive& view_point.place_in_map_m& view_point.array_known& view_point.array_in_map_m& view_point
+      .plane_normal_in_map& view_point.surface_normal_sum_in_map& view_point.level_scans& view_point
+      .power_at_1m& view_point.spl_scans& view_point.squared_pressure_at_1m;
 }
 
 template <class Archive>
 void serialize(Archive& archive, soundmap::sound_map::RegisteredSource& source, unsigned) {
   archive& source.found& source.state& source.position_covariance_m2& source
-      .last_listened_ns& source.robots& source.view_points& source.heard;
+      .last_listened_ns& source.robots& source.view_points& source.heard& source.explained_by_id;
 }
 
 template <class Archive>
@@ -65,9 +66,10 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& sta
 namespace soundmap::pipeline {
 namespace {
 
-constexpr std::uint32_t kSourceRegistersVersion = 4;
+constexpr std::uint32_t kSourceRegistersVersion = 5;
 // Entries from before levels were measured have none, and begin with the length of a name.
-constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0004;
+constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0005;
+constexpr std::uint64_t kAudioScanVersionWithoutArray = 0xffff'ffff'0000'0004;
 constexpr std::uint64_t kAudioScanVersionWithoutBand = 0xffff'ffff'0000'0003;
 constexpr std::uint64_t kAudioScanVersionWithoutPlane = 0xffff'ffff'0000'0002;
 
@@ -77,10 +79,15 @@ std::string EncodePose(const localization::PoseEstimate& pose) { return ToBytes(
 
 std::string EncodeAudioScan(const AudioScanInfo& scan) {
   const sound_map::ArrayPlane plane = scan.array_plane.value_or(sound_map::ArrayPlane());
+  std::vector<Eigen::Vector3f> surface_normals;
+  for (const sound_map::HeardPeak& peak : scan.heard) {
+    surface_normals.push_back(peak.surface_normal_in_map);
+  }
   return ToBytes(kAudioScanVersion, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                  scan.end_points, scan.heard, scan.array_plane.has_value(), plane,
                  scan.full_scale_spl_db.has_value(), scan.full_scale_spl_db.value_or(0.0),
-                 scan.band);
+                 scan.band, scan.array_in_map_m.has_value(),
+                 scan.array_in_map_m.value_or(Eigen::Vector3d::Zero()), surface_normals);
 }
 
 std::string EncodeSourceRegisters(const SourceRegisters& registers) {
@@ -103,7 +110,17 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   sound_map::ArrayPlane plane;
   bool has_full_scale = false;
   double full_scale_spl_db = 0.0;
+  bool has_array = false;
+  Eigen::Vector3d array_in_map_m;
+  std::vector<Eigen::Vector3f> surface_normals;
   if (version == kAudioScanVersion) {
+    status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                       scan.end_points, scan.heard, has_plane, plane, has_full_scale,
+                       full_scale_spl_db, scan.band, has_array, array_in_map_m, surface_normals);
+    if (status.ok() && surface_normals.size() != scan.heard.size()) {
+      status = absl::DataLossError("an audio scan has other surfaces than peaks");
+    }
+  } else if (version == kAudioScanVersionWithoutArray) {
     status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                        scan.end_points, scan.heard, has_plane, plane, has_full_scale,
                        full_scale_spl_db, scan.band);
@@ -119,6 +136,10 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   if (!status.ok()) return status;
   if (has_plane) scan.array_plane = plane;
   if (has_full_scale) scan.full_scale_spl_db = full_scale_spl_db;
+  if (has_array) scan.array_in_map_m = array_in_map_m;
+  for (std::size_t i = 0; i < surface_normals.size(); ++i) {
+    scan.heard[i].surface_normal_in_map = surface_normals[i];
+  }
   return scan;
 }
 

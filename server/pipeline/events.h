@@ -30,7 +30,8 @@ struct AudioScanInfo {
   std::vector<sound_map::HeardPeak> heard;
   std::optional<sound_map::ArrayPlane> array_plane;
   std::optional<double> full_scale_spl_db;  // of the microphones, see frames::Calibration
-  std::uint8_t band = kMainBand;            // number of the map that it entered
+  std::optional<Eigen::Vector3d> array_in_map_m;
+  std::uint8_t band = kMainBand;  // number of the map that it entered
 };
 
 // A robot that has had a session here, or reports live.

@@ -163,6 +163,8 @@ std::vector<sound_map::HeardPeak> PlacePeaks(const acoustics::LikelihoodScan& sc
     if (range_m == 0.0) continue;
     sound_map::HeardPeak& peak = heard.emplace_back();
     peak.place_in_map_m = map_from_array.translation() + range_m * direction;
+    peak.surface_normal_in_map =
+        (map_from_array.linear() * scan.peaks[i].surface_normal_in_array).cast<float>();
     for (int band = 0; band < frames::kOctaveBands; ++band) {
       peak.power_at_1m[band] = scan.levels[i][band] * static_cast<float>(range_m * range_m);
     }
@@ -533,7 +535,8 @@ void Listening::State::Fuse(const BandEar& ear, acoustics::LikelihoodScan scan, 
     array_plane = {map_from_array.translation(), map_from_array.linear() * *normal};
   }
   output.scans.push_back({std::move(scan), *pose, *std::move(evidence), std::move(heard),
-                          array_plane, calibration.full_scale_spl_db, ear.band});
+                          array_plane, calibration.full_scale_spl_db, map_from_array.translation(),
+                          ear.band});
 }
 
 std::vector<std::string> Listening::Warnings() const {

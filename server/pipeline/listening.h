@@ -36,6 +36,7 @@ class Listening {
     std::vector<sound_map::HeardPeak> heard;
     std::optional<sound_map::ArrayPlane> array_plane;
     std::optional<double> full_scale_spl_db;
+    std::optional<Eigen::Vector3d> array_in_map_m;
     std::uint8_t band = kMainBand;  // number of the map that it is for
   };
   // What some frames led to.

@@ -141,7 +141,8 @@ absl::StatusOr<std::vector<sound_map::SourceEvent>> Region::Apply(
                                 &evidence,
                                 &scan.heard,
                                 scan.array_plane,
-                                scan.full_scale_spl_db});
+                                scan.full_scale_spl_db,
+                                scan.array_in_map_m});
   std::vector<sound_map::SourceEvent> events;
   if (band.source_register.due()) {
     events = band.source_register.Update(band.finder.Find(band.map->Present()));

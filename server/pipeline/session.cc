@@ -555,6 +555,7 @@ void Session::TakeScans(std::int64_t offset, std::vector<Listening::Scan> scans)
                              std::move(scan.heard),
                              scan.array_plane,
                              scan.full_scale_spl_db,
+                             scan.array_in_map_m,
                              scan.band};
     commit_.journal.push_back({offset, EncodeAudioScan(info), std::move(scan.evidence)});
   }

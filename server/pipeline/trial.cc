@@ -28,7 +28,8 @@ class TrialMap {
                        &scan.evidence,
                        &scan.heard,
                        scan.array_plane,
-                       scan.full_scale_spl_db});
+                       scan.full_scale_spl_db,
+                       scan.array_in_map_m});
     if (register_.due()) Update();
     return absl::OkStatus();
   }

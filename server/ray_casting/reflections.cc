@@ -151,7 +151,7 @@ class View {
 void MarkReflections(const LidarView& lidar, const Eigen::Isometry3d& base_from_array,
                      const std::optional<Eigen::Vector3d>& array_normal,
                      std::vector<acoustics::Peak>& peaks) {
-  if (peaks.size() < 2 || lidar.point_in_base.empty()) return;
+  if (peaks.empty() || lidar.point_in_base.empty()) return;
   const Eigen::Isometry3d reference_from_array =
       lidar.reference_base_from_audio_base * base_from_array;
   const Eigen::Vector3d origin = reference_from_array.translation();
@@ -170,6 +170,11 @@ void MarkReflections(const LidarView& lidar, const Eigen::Isometry3d& base_from_
       const Eigen::Vector3d direction = reference_from_array.linear() * in_array;
       const auto surface = view.Along(direction);
       if (!surface) continue;
+      if (surface->normal && &in_array == &directions.front()) {
+        const double towards = surface->normal->dot(direction) < 0.0 ? 1.0 : -1.0;
+        peak.surface_normal_in_array =
+            towards * (reference_from_array.linear().transpose() * *surface->normal);
+      }
       Eigen::Vector3d emitter = surface->point;
       for (std::size_t i = 0; surface->normal && i < stronger; ++i) {
         const double height_m = (emitters[i] - surface->point).dot(*surface->normal);

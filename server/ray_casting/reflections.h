@@ -9,7 +9,8 @@
 
 namespace soundmap::ray_casting {
 
-// Marks the peaks of one audio scan that are heard by way of a surface. The LIDAR shows the surface
+// Marks the peaks of one audio scan that are heard by way of a surface, and says how the surface
+// lies where each peak's direction ends, if it is flat. The LIDAR shows the surface
 // at which a peak's direction ends; where the mirror image in it of what a stronger peak hears
 // stands in that direction, too, the peak is the reflection of that one. Such an image may be
 // reflected once more. (A source on the surface itself is its own image and is none.)

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <iterator>
 
+#include "geometry/angles.h"
+
 namespace soundmap::sound_map {
 namespace {
 
@@ -18,6 +20,12 @@ constexpr std::int64_t kMinLevelScans = 4;
 // what a source sounds like from other places by some decibels.
 constexpr double kMaxUnlike_db = 4.0;
 constexpr int kMinAlikeBands = 3;
+
+// Directions that are closer are one: half a lobe of a small array, and what a place of a view
+// point a metre wide is off by.
+const double kOneDirection_rad = geometry::RadFromDeg(12.0);
+
+constexpr double kOnSurface_m = 0.3;
 
 // A full-scale square wave beside a full-scale sine.
 const double kSquareOverSine_db = 10.0 * std::log10(2.0);
@@ -43,6 +51,40 @@ Spectrum MedianOfMeans_db(const std::vector<ViewPoint>& view_points, Scans scans
 
 }  // namespace
 
+void ViewPoint::AddArray(const Eigen::Vector3d& in_map_m, const std::optional<ArrayPlane>& plane) {
+  const bool in_plane = plane_normal_in_map != Eigen::Vector3d::Zero();
+  if (array_known && (!in_plane || plane)) return;
+  array_known = true;
+  array_in_map_m = in_map_m;
+  plane_normal_in_map = plane ? plane->normal_in_map : Eigen::Vector3d::Zero();
+}
+
+bool ViewPoint::InOneDirection(const Eigen::Vector3d& place_in_map_m,
+                               const Eigen::Vector3d& other_in_map_m) const {
+  const Eigen::Vector3d direction = (place_in_map_m - array_in_map_m).normalized();
+  const Eigen::Vector3d other = (other_in_map_m - array_in_map_m).normalized();
+  if (plane_normal_in_map == Eigen::Vector3d::Zero()) {
+    return direction.dot(other) > std::cos(kOneDirection_rad);
+  }
+  // What lies alike along the plane sounds alike, above and below it.
+  const Eigen::Vector3d off = direction - other;
+  return (off - off.dot(plane_normal_in_map) * plane_normal_in_map).norm() <
+         std::sin(kOneDirection_rad);
+}
+
+bool ViewPoint::Mirrors(const Eigen::Vector3d& place_in_map_m,
+                        const Eigen::Vector3d& other_in_map_m) const {
+  if (plane_normal_in_map != Eigen::Vector3d::Zero() ||
+      surface_normal_sum_in_map == Eigen::Vector3d::Zero()) {
+    return false;
+  }
+  const Eigen::Vector3d normal = surface_normal_sum_in_map.normalized();
+  const double height_m = (other_in_map_m - place_in_map_m).dot(normal);
+  // What is on the surface itself is its own image; what is behind it has none.
+  if (height_m < kOnSurface_m || (array_in_map_m - place_in_map_m).dot(normal) <= 0.0) return false;
+  return InOneDirection(place_in_map_m, other_in_map_m - 2.0 * height_m * normal);
+}
+
 void ViewPoint::AddLevel(const frames::BandPowers& power,
                          const std::optional<double>& full_scale_spl_db) {
   ++level_scans;
@@ -62,6 +104,19 @@ std::optional<double> TotalLevel_db(const Spectrum& spectrum_db) {
   }
   if (!(power > 0.0)) return std::nullopt;
   return 10.0 * std::log10(power);
+}
+
+Explained RegisteredSource::ExplainedBy(const Eigen::Vector3d& other_in_map_m) const {
+  int known = 0;
+  Explained explained;
+  for (const ViewPoint& view_point : view_points) {
+    if (!view_point.array_known) continue;
+    ++known;
+    if (view_point.InOneDirection(found.position_in_map_m, other_in_map_m)) ++explained.direct;
+    if (view_point.Mirrors(found.position_in_map_m, other_in_map_m)) ++explained.mirrored;
+  }
+  if (known == 0) return {};
+  return {explained.direct / known, explained.mirrored / known};
 }
 
 Spectrum RegisteredSource::Spectrum_db() const {

@@ -37,6 +37,9 @@ constexpr std::size_t kMaxGone = 256;
 
 // A scan has a maximum at a source that is so near.
 constexpr double kAtMaximum_m = 0.2;
+// A place that is explained from this share of its view points is told as such; one that lies in
+// the direction of another from so many explains no other.
+constexpr double kExplained = 0.5;
 // That the weaker of two mirrored places is the source.
 constexpr double kMirrorProbability = 0.3;
 // A source that was announced is not ruled out by one that is only just stronger.
@@ -157,8 +160,10 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
 
   source.AddHeard(stamp_ns);
   source.AddRobot(scan.robot);
+  if (scan.array_in_map_m) view_point->AddArray(*scan.array_in_map_m, scan.array_plane);
   if (hit.peak != nullptr) {
     view_point->AddLevel(hit.peak->power_at_1m, scan.full_scale_spl_db);
+    view_point->surface_normal_sum_in_map += hit.peak->surface_normal_in_map.cast<double>();
   }
   // Welford's mean and scatter of the places where single scans heard it.
   const Eigen::Vector3d place = hit.sum_in_map_m / hit.supporting;
@@ -176,11 +181,44 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
 
 bool SourceRegister::RulesOut(const Track& track, const Track& mirror) const {
   if (!mirror.mirrors.Has(track.source.found.id)) return false;
-  const auto strength = [](const Track& of) {
-    return std::pair(of.source.found.evidence * (of.announced ? kAnnouncedWeight : 1.0),
-                     of.source.found.id);
-  };
-  return strength(mirror) < strength(track);
+  return std::pair(StrengthOf(mirror), mirror.source.found.id) <
+         std::pair(StrengthOf(track), track.source.found.id);
+}
+
+double SourceRegister::StrengthOf(const Track& track) {
+  return track.source.found.evidence * (track.announced ? kAnnouncedWeight : 1.0);
+}
+
+void SourceRegister::JudgeFound(const std::vector<bool>& is_found) {
+  std::vector<Track>& tracks = state_.tracks;
+  std::vector<std::size_t> strongest_first;
+  for (std::size_t t = 0; t < tracks.size(); ++t) {
+    if (tracks[t].source.state == SourceState::kActive) strongest_first.push_back(t);
+  }
+  std::sort(strongest_first.begin(), strongest_first.end(), [&](std::size_t a, std::size_t b) {
+    return std::pair(-StrengthOf(tracks[a]), tracks[a].source.found.id) <
+           std::pair(-StrengthOf(tracks[b]), tracks[b].source.found.id);
+  });
+  std::vector<const RegisteredSource*> unexplained;
+  for (const std::size_t t : strongest_first) {
+    RegisteredSource& source = tracks[t].source;
+    Explained most;
+    double largest = 0.0;
+    source.explained_by_id = 0;
+    for (const RegisteredSource* stronger : unexplained) {
+      const Explained explained = source.ExplainedBy(stronger->found.position_in_map_m);
+      most.direct = std::max(most.direct, explained.direct);
+      most.mirrored = std::max(most.mirrored, explained.mirrored);
+      const double share = std::max(explained.direct, explained.mirrored);
+      if (share < kExplained || share <= largest) continue;
+      largest = share;
+      source.explained_by_id = stronger->found.id;
+    }
+    if (most.direct < kExplained) unexplained.push_back(&source);
+    if (!is_found[t]) continue;
+    source.found.probability = ProbabilityOf(tracks[t], most);
+    if (source.found.probability < kAnnounceProbability) tracks[t].sure_scans = 0;
+  }
 }
 
 void SourceRegister::RuleOutMirrors() {
@@ -215,12 +253,12 @@ RegisteredSource SourceRegister::Describe(const Track& track) const {
   return source;
 }
 
-double SourceRegister::ProbabilityOf(const Track& track) const {
+double SourceRegister::ProbabilityOf(const Track& track, const Explained& explained) const {
   const SoundSource& found = track.source.found;
   if (!config_.sources.judge_by_views || track.views.count() == 0.0 || !(found.evidence > 0.0)) {
     return found.probability;
   }
-  return ProbabilityFromLogOdds(LogOddsByViews(found.evidence, track.views));
+  return ProbabilityFromLogOdds(LogOddsByViews(found.evidence, track.views, explained));
 }
 
 void SourceRegister::JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns) {
@@ -274,6 +312,9 @@ void SourceRegister::MergeInto(Track& into, Track& from, std::vector<SourceEvent
   into.source.TakeHistory(from.source);
   for (Track& track : state_.tracks) {
     track.mirrors.Merge(from.source.found.id, into.source.found.id);
+    if (track.source.explained_by_id == from.source.found.id) {
+      track.source.explained_by_id = into.source.found.id;
+    }
   }
   if (!from.announced) return;
   events.push_back(EventOf(SourceEvent::Kind::kMerged, from));
@@ -308,11 +349,10 @@ void SourceRegister::Join(const std::vector<SoundSource>& found, std::vector<Sou
     if (tracks[t].source.state != SourceState::kActive) continue;
     const SoundSource before = std::exchange(known, found[f]);
     known.id = before.id;
-    known.probability = ProbabilityOf(tracks[t]);
     known.first_heard_ns = std::min(known.first_heard_ns, before.first_heard_ns);
     known.last_heard_ns = std::max(known.last_heard_ns, before.last_heard_ns);
-    if (known.probability < kAnnounceProbability) tracks[t].sure_scans = 0;
   }
+  JudgeFound(is_found);
 
   std::vector<bool> is_kept = is_found;
   for (std::size_t t = 0; t < tracks.size(); ++t) {
@@ -419,6 +459,9 @@ void SourceRegister::Move(std::vector<SourceEvent>& events) {
     if (old.left || !has_moved.insert(to).second) continue;
     for (Track& track : tracks) {
       track.mirrors.Swap(old.source.found.id, present.source.found.id);
+      if (track.source.explained_by_id == present.source.found.id) {
+        track.source.explained_by_id = old.source.found.id;  // which it is called now
+      }
     }
     std::swap(old.source.found.id, present.source.found.id);
     present.source.TakeHistory(old.source);

@@ -40,6 +40,11 @@ struct SourceEvent {
 // probable a source is says LogOddsByViews(), with the views since it was first found, each
 // view_point_spacing_m long. A maximum within 0.2 m of a source is at it.
 //
+// A source that furniture hides is heard through it and past it, and its direction then ends on
+// what hides it; a wall mirrors a source that the scan itself does not show. So what a stronger
+// place explains is the less probable (RegisteredSource::ExplainedBy()). A place that is explained
+// from half of its view points explains nothing in turn.
+//
 // An array in a plane hears a source and its mirror image alike. Of two places, the weaker of which
 // is heard as the image of the other one (Mirrors::Has), the one with more evidence is the source;
 // the other one is kept as improbable, and told as mirror_in_map_m of the source as long as the
@@ -63,6 +68,7 @@ class SourceRegister {
     std::optional<ArrayPlane> array_plane;
     // Sound pressure level of a full-scale sine at the microphones, in dB re 20 uPa.
     std::optional<double> full_scale_spl_db;
+    std::optional<Eigen::Vector3d> array_in_map_m;  // none: not known
   };
 
   explicit SourceRegister(const SoundMapConfig& config);
@@ -116,10 +122,12 @@ class SourceRegister {
 
   bool IsSure(const Track& track) const;
   void Listen(Track& track, const Hit& hit, const Observation& scan);
+  void JudgeFound(const std::vector<bool>& is_found);
   void RuleOutMirrors();
   bool RulesOut(const Track& track, const Track& mirror) const;
   RegisteredSource Describe(const Track& track) const;
-  double ProbabilityOf(const Track& track) const;
+  double ProbabilityOf(const Track& track, const Explained& explained) const;
+  static double StrengthOf(const Track& track);
   void JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns);
   void MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events);
   void Join(const std::vector<SoundSource>& found, std::vector<SourceEvent>& events);

@@ -13,9 +13,11 @@ constexpr double kMaxPast = 32.0;
 // Robots whose present views are told apart.
 constexpr std::size_t kMaxPresent = 16;
 
-constexpr double kLogOddsBefore = -7.09;
-constexpr double kEvidencePower = 1.30;
-constexpr double kHeardPower = 1.33;
+constexpr double kLogOddsBefore = -6.82;
+constexpr double kEvidencePower = 1.37;
+constexpr double kHeardPower = 1.28;
+constexpr double kLogOddsDirect = -5.48;
+constexpr double kLogOddsMirrored = -2.02;
 constexpr double kMaxEvidence = 200.0;
 
 bool Heard(const View& view) {
@@ -57,10 +59,11 @@ double Views::heard() const {
                                            [](const auto& view) { return Heard(view.second); }));
 }
 
-double LogOddsByViews(double evidence, const Views& views) {
+double LogOddsByViews(double evidence, const Views& views, const Explained& explained) {
   const double counted = std::min(evidence * views.kept_share(), kMaxEvidence);
   return kLogOddsBefore + kEvidencePower * std::log(counted) +
-         kHeardPower * std::log(views.heard() + 1.0);
+         kHeardPower * std::log(views.heard() + 1.0) + kLogOddsDirect * explained.direct +
+         kLogOddsMirrored * explained.mirrored;
 }
 
 }  // namespace soundmap::sound_map

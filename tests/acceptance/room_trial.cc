@@ -245,8 +245,13 @@ absl::StatusOr<TrialResult> Run(const Trial& trial, const pipeline::Profile& pro
       const absl::Status applied = (*map)->Apply(scan.evidence);
       if (!applied.ok()) return applied;
       const geometry::Pose2& pose = scan.pose.map_from_base;
-      sources.Observe(
-          {"robot", {pose.x_m, pose.y_m}, &scan.evidence, &scan.heard, scan.array_plane, {}});
+      sources.Observe({"robot",
+                       {pose.x_m, pose.y_m},
+                       &scan.evidence,
+                       &scan.heard,
+                       scan.array_plane,
+                       scan.full_scale_spl_db,
+                       scan.array_in_map_m});
       if (sources.due()) sources.Update(finder.Find((*map)->Present()));
     }
     for (const auto& pose : output.path) {

@@ -20,5 +20,14 @@ TEST(Convert, ASourceTellsWhereItMayBeInstead) {
   EXPECT_EQ(ToProto("hall", "", event).sound_source().mirror_position_m().z(), 0.5);
 }
 
+TEST(Convert, ASourceTellsWhatExplainsIt) {
+  sound_map::RegisteredSource source;
+  EXPECT_EQ(ToProto("hall", "", source).explained_by(), "");
+  source.explained_by_id = 0x1f;
+  EXPECT_EQ(ToProto("hall", "", source).explained_by(), "sites/hall/soundSources/000000000000001f");
+  EXPECT_EQ(ToProto("hall", "hiss", source).explained_by(),
+            "sites/hall/soundSources/hiss-000000000000001f");
+}
+
 }  // namespace
 }  // namespace soundmap::api

@@ -472,6 +472,17 @@ TEST_F(CliTest, TellsWhereASourceMayBeInstead) {
                                   "tell above from below.\n"));
 }
 
+TEST_F(CliTest, TellsWhatAGhostIsOf) {
+  state().sources = {Source("s1", 2, 1.6, 2.5, 0.9), Source("s2", 0.1, -5.4, 2.5, 0.2)};
+  state().sources[1].set_explained_by("sites/hall/soundSources/s1");
+  const auto json = nlohmann::json::parse(Run({"sources", "hall", "--format", "json"}).out);
+  EXPECT_FALSE(json["sources"][0].contains("explained_by"));
+  EXPECT_EQ(json["sources"][1]["explained_by"], "s1");
+  EXPECT_THAT(
+      Run({"sources", "hall"}).out,
+      ::testing::EndsWith("Z\ns2 may be a ghost of s1, heard in its direction or mirrored.\n"));
+}
+
 TEST_F(CliTest, AsksForATimeWindowAndForStates) {
   ASSERT_EQ(Run({"sources", "hall", "--since", "100", "--until", "200", "--state", "active",
                  "--state", "gone"})

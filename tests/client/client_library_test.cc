@@ -163,6 +163,7 @@ TEST_F(ClientTest, ListsSourcesMostProbableFirst) {
   add("s1", 0.7);
   add("s3", 0.9);
   state().sources.back().mutable_mirror_position_m()->set_z(-0.5);
+  state().sources.front().set_explained_by("sites/hall/soundSources/s3");
   const auto list =
       client_.ListSoundSources({.site = "hall", .min_probability = 0.5, .since_ns = 42});
   ASSERT_TRUE(list.ok()) << list.status();
@@ -174,6 +175,8 @@ TEST_F(ClientTest, ListsSourcesMostProbableFirst) {
   ASSERT_TRUE(list->sources[0].mirror_in_map_m);
   EXPECT_EQ(list->sources[0].mirror_in_map_m->z, -0.5);
   EXPECT_FALSE(list->sources[1].mirror_in_map_m);
+  EXPECT_EQ(list->sources[0].explained_by, "");
+  EXPECT_EQ(list->sources[2].explained_by, "s3");
   EXPECT_EQ(list->revision, 12);
   EXPECT_EQ(list->as_of_ns, 1'000'000'000'000);
   EXPECT_EQ(state().last_sources_request.site(), "sites/hall");

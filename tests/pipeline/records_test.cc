@@ -138,6 +138,8 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   scan.end_points = 9;
   scan.array_plane = {{1.0, 2.0, 1.0 / 3.0}, Eigen::Vector3d(0.0, 0.6, 0.8)};
   scan.full_scale_spl_db = 120.0 + 1.0 / 3.0;
+  scan.array_in_map_m = {1.0, 2.0, 1.0 / 3.0};
+  scan.heard = {{{1.0, 2.0, 3.0}, {0.5f, 0.25f}, {0.0f, 0.6f, 0.8f}}, {{4.0, 5.0, 6.0}, {}}};
   const std::string bytes = EncodeAudioScan(scan);
   const auto read = DecodeAudioScan(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
@@ -147,6 +149,8 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   EXPECT_EQ(read->pose.state, scan.pose.state);
   EXPECT_EQ(read->array_plane, scan.array_plane);
   EXPECT_EQ(read->full_scale_spl_db, scan.full_scale_spl_db);
+  EXPECT_EQ(read->array_in_map_m, scan.array_in_map_m);
+  EXPECT_EQ(read->heard, scan.heard);
   ASSERT_EQ(read->peaks.size(), 2u);
   EXPECT_EQ(read->peaks[1].direction_in_array, scan.peaks[1].direction_in_array);
   for (std::size_t cut = 0; cut < bytes.size(); ++cut) {
@@ -154,7 +158,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   }
 }
 
-// What version 3 of the register's state looks like on disk: the bytes of a state of which every
+// What version 5 of the register's state looks like on disk: the bytes of a state of which every
 // part is another number.
 TEST(Archive, AStoredRegisterKeepsItsBytes) {
   sound_map::SourceRegister::State state;
@@ -168,7 +172,12 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   track.source.view_points.resize(2);
   track.source.view_points[1].spl_scans = 4;
   track.source.view_points[1].squared_pressure_at_1m[2] = 1.25e12;
+  track.source.view_points[1].array_known = true;
+  track.source.view_points[1].array_in_map_m = {1.0, 2.0, 1.25};
+  track.source.view_points[1].plane_normal_in_map = {0.0, 0.6, 0.8};
+  track.source.view_points[1].surface_normal_sum_in_map = {0.0, -3.5, 0.25};
   track.source.heard = {{1, 2}, {3, 4}};
+  track.source.explained_by_id = 5;
   track.log_odds_on = 3.5;
   track.announced = true;
   track.views.present = {{"r1", {{1.0, 2.0}, 12, 3}}, {"r2", {{-1.0, 4.0}, 5, 1}}};
@@ -182,8 +191,8 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   const std::string bytes = EncodeSourceRegisters({state, {}});
   boost::crc_32_type checksum;
   checksum.process_bytes(bytes.data(), bytes.size());
-  EXPECT_EQ(bytes.size(), 1544u);
-  EXPECT_EQ(checksum.checksum(), 0x12b5e18b);
+  EXPECT_EQ(bytes.size(), 1706u);
+  EXPECT_EQ(checksum.checksum(), 0xdfbf69a6);
   const auto read = DecodeSourceRegisters(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
   ASSERT_EQ(read->size(), 2u);

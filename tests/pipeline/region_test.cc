@@ -177,8 +177,16 @@ TEST(Archive, EntriesFromBeforeThereWereBandsAreOfTheMainMap) {
   scan.band = 2;
   const std::string bytes = EncodeAudioScan(scan);
   EXPECT_EQ(DecodeAudioScan(bytes)->band, 2);
-  // Version 3 ended before full scale and band, version 2 before the plane.
-  std::string without_band = bytes.substr(0, bytes.size() - 1 - 8 - 1);
+  // Version 4 ended before the array and the surfaces (a number of them, its version, and one
+  // surface), version 3 before full scale and band, version 2 before the plane.
+  std::string without_array = bytes.substr(0, bytes.size() - 1 - 3 * 8 - 8 - 4 - 3 * 4);
+  without_array[0] = '\4';
+  const auto old = DecodeAudioScan(without_array);
+  ASSERT_TRUE(old.ok()) << old.status();
+  EXPECT_EQ(old->band, 2);
+  EXPECT_EQ(old->heard, scan.heard);
+  EXPECT_FALSE(old->array_in_map_m);
+  std::string without_band = without_array.substr(0, without_array.size() - 1 - 8 - 1);
   without_band[0] = '\3';
   const auto older = DecodeAudioScan(without_band);
   ASSERT_TRUE(older.ok()) << older.status();

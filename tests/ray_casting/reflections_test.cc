@@ -97,6 +97,27 @@ TEST_F(ReflectionsTest, TheOrderOfThePointsDoesNotMatter) {
   EXPECT_EQ(Marked(), expected);
 }
 
+// Of the wall that a peak's direction meets, towards the array; none at a corner's other side.
+TEST_F(ReflectionsTest, SaysHowTheSurfaceLies) {
+  Hear({kMax.x(), 1.0, 0.5});
+  (void)Marked();
+  ASSERT_EQ(peaks_.size(), 1u);  // one is enough
+  const auto normal_in_base = [this](std::size_t peak) -> Eigen::Vector3d {
+    return base_from_array_ * peaks_[peak].surface_normal_in_array;
+  };
+  EXPECT_LT((normal_in_base(0) + Eigen::Vector3d::UnitX()).norm(), 0.05);
+  Hear({1.0, kMin.y(), 0.2});
+  Hear({1.0, 2.0, kMax.z()});
+  (void)Marked();
+  EXPECT_LT((normal_in_base(1) - Eigen::Vector3d::UnitY()).norm(), 0.05);
+  EXPECT_LT((normal_in_base(2) + Eigen::Vector3d::UnitZ()).norm(), 0.05);
+  // Where the LIDAR sees nothing, nothing is known.
+  std::erase_if(points_, [](const Eigen::Vector3f& p) { return p.x() > kMax.x() - 0.3; });
+  peaks_[0].surface_normal_in_array.setZero();
+  (void)Marked();
+  EXPECT_EQ(normal_in_base(0), Eigen::Vector3d::Zero());
+}
+
 TEST_F(ReflectionsTest, AStrongerPeakIsNoReflectionOfAWeakerOne) {
   const Eigen::Vector3d source(kMax.x(), 1.0, 0.5);
   Hear(Image(source, 2, kMin.z()));

@@ -102,11 +102,13 @@ TEST(Views, TheOddsAreThoseOfTheRegression) {
   views.Add("r1", Eigen::Vector2d::Zero(), true, kSpacing_m);
   views.Add("r2", Eigen::Vector2d::Zero(), false, kSpacing_m);
   const auto odds = [](double evidence, double h) {
-    return std::exp(-7.09) * std::pow(evidence, 1.30) * std::pow(h + 1.0, 1.33);
+    return std::exp(-6.82) * std::pow(evidence, 1.37) * std::pow(h + 1.0, 1.28);
   };
   // 8 of 16 views are kept.
-  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views)), odds(75.0, 3.5), 1e-9);
-  EXPECT_NEAR(std::exp(LogOddsByViews(1e6, views)), odds(200.0, 3.5), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {})), odds(75.0, 3.5), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(1e6, views, {})), odds(200.0, 3.5), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {0.5, 0.25})),
+              odds(75.0, 3.5) * std::exp(-5.48 * 0.5 - 2.02 * 0.25), 1e-9);
 }
 
 }  // namespace

@@ -56,6 +56,8 @@ struct SoundSource {
   std::optional<double> spl_db;
   // Where it may be instead: the arrays that heard it cannot tell above from below.
   std::optional<Vector3> mirror_in_map_m;
+  // Id of the stronger source of which this is a ghost, most likely; empty: none explains it.
+  std::string explained_by;
   std::string band;  // that it is heard in; empty: that of the site's profile
 };
 
