@@ -125,6 +125,11 @@ TEST_F(ViewPointTest, ASurfaceMirrorsAPlaceWhereTheWayByItIsTheShortest) {
     EXPECT_FALSE(view_point.Mirrors(mirror, other - (height_m - 0.2) * normal));
     view_point.surface_normal_sum_in_map *= -1.0;
     EXPECT_FALSE(view_point.Mirrors(mirror, other));
+    const Eigen::Vector3d image = other - 2.0 * height_m * normal;
+    ViewPoint behind;
+    behind.AddArray(mirror + 2.0 * (image - mirror), std::nullopt);
+    behind.surface_normal_sum_in_map = normal;
+    EXPECT_FALSE(behind.Mirrors(mirror, other));
     // Arrays in a plane do not tell.
     ViewPoint in_plane;
     in_plane.AddArray(array, ArrayPlane{array, Eigen::Vector3d::UnitZ()});

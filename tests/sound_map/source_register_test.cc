@@ -440,7 +440,8 @@ class ExplainedTest : public ::testing::Test {
              std::optional<ArrayPlane> plane = std::nullopt, bool array_known = true) {
     std::vector<SoundSource> found;
     for (std::size_t i = 0; i < places.size(); ++i) {
-      SoundSource& source = found.emplace_back(Found(1 + i, 0.0, 0.6, 100));
+      SoundSource& source =
+          found.emplace_back(Found(1 + i, 0.0, 0.6, 100 - static_cast<frames::TimeNs>(i)));
       source.position_in_map_m = places[i].in_map_m;
       source.evidence = places[i].evidence;
     }
@@ -524,6 +525,25 @@ TEST_F(ExplainedTest, WhatIsExplainedItselfExplainsNothing) {
   EXPECT_NEAR(probability_[1], Probability(100.0, 1.0, 1.0, 0.0), 1e-9);
   EXPECT_NEAR(probability_[2], Probability(50.0, 1.0, 0.0, 0.0), 1e-9);
   EXPECT_EQ(explained_by_, std::vector<std::uint64_t>({0, 1, 0}));
+}
+
+TEST_F(ExplainedTest, FollowsTheNameOfTheStrongerOne) {
+  const Place stronger{{4.0, 2.0, 1.0}, 150.0};
+  const Place beside{{4.6, 2.0, 1.0}, 100.0};
+  const Place ghost{{2.0, 2.0, 1.0}, 50.0};
+  Drive({stronger, beside, ghost}, {0.0});
+  EXPECT_EQ(explained_by_, std::vector<std::uint64_t>({0, 1, 1}));
+  // The first two become one, which keeps the name of the one that was heard first.
+  std::vector<SoundSource> found = {Found(1, 0.0, 0.6, 100), Found(3, 0.0, 0.6, 100)};
+  found[0].position_in_map_m = {4.2, 2.0, 1.0};
+  found[0].evidence = 150.0;
+  found[1].position_in_map_m = ghost.in_map_m;
+  found[1].evidence = ghost.evidence;
+  sources_.Update(found);
+  const std::vector<RegisteredSource> left = sources_.Sources();
+  ASSERT_EQ(left.size(), 2u);
+  const bool ghost_first = left[0].explained_by_id != 0;
+  EXPECT_EQ(left[ghost_first ? 0 : 1].explained_by_id, left[ghost_first ? 1 : 0].found.id);
 }
 
 TEST_F(ExplainedTest, AnArrayInAPlaneHearsAboveAndBelowInOneDirection) {
