@@ -97,7 +97,7 @@ TEST_F(ReflectionsTest, TheOrderOfThePointsDoesNotMatter) {
   EXPECT_EQ(Marked(), expected);
 }
 
-// Of the wall that a peak's direction meets, towards the array; none at a corner's other side.
+// Of the wall that a peak's direction meets, towards the array.
 TEST_F(ReflectionsTest, SaysHowTheSurfaceLies) {
   Hear({kMax.x(), 1.0, 0.5});
   (void)Marked();
