@@ -29,6 +29,7 @@ struct AudioScanner::Tables {
   std::shared_ptr<const SrpPhat> srp;
   std::optional<PeakFinder> finder;  // with PeakEvidence
   std::optional<PeakLevel> level;    // with the finder
+  std::optional<PeakRipple> ripple;  // with the finder, of microphones in a plane
 };
 
 absl::StatusOr<std::shared_ptr<const AudioScanner::Tables>> AudioScanner::MakeTables(
@@ -39,12 +40,16 @@ absl::StatusOr<std::shared_ptr<const AudioScanner::Tables>> AudioScanner::MakeTa
   absl::StatusOr<std::shared_ptr<const SrpPhat>> srp = SrpPhat::Create(
       *layout, config.speed_of_sound_mps, calibration.mic_in_array_m, config.MakeGrid());
   if (!srp.ok()) return srp.status();
-  auto tables = std::make_shared<Tables>(Tables{config, *layout, calibration.mic_in_array_m,
-                                                *std::move(srp), std::nullopt, std::nullopt});
+  auto tables =
+      std::make_shared<Tables>(Tables{config, *layout, calibration.mic_in_array_m, *std::move(srp),
+                                      std::nullopt, std::nullopt, std::nullopt});
   if (const auto* evidence = std::get_if<PeakEvidence>(&config.evidence)) {
     tables->finder.emplace(*evidence, *layout, config.speed_of_sound_mps,
                            calibration.mic_in_array_m, tables->srp);
     tables->level.emplace(*layout, config.speed_of_sound_mps, calibration.mic_in_array_m);
+    if (tables->finder->beam().array_rank() == 2) {
+      tables->ripple.emplace(*layout, config.speed_of_sound_mps, calibration.mic_in_array_m);
+    }
   }
   return tables;
 }
@@ -185,8 +190,12 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
     Mend(samples, result.dead_microphones, result.inverted_microphones);
     samples = mended_.data();
   }
-  const PhatSpectra& spectra = stft->Analyze(
-      {samples, static_cast<std::size_t>(layout_.scan_samples()) * tables->srp->microphones()});
+  const std::size_t count =
+      static_cast<std::size_t>(layout_.scan_samples()) * tables->srp->microphones();
+  const PhatSpectra& spectra =
+      stft->Analyze({samples, count}, [&](int frame, const FrameSpectra& transforms) {
+        if (tables->ripple) tables->ripple->Keep(frame, transforms, frames_);
+      });
   if (tables->finder) polarity_.Add(stft->newest_frame(), result.dead_microphones);
   Done(Step::kSpectra);
   tables->srp->Scan(spectra, scan_);
@@ -207,6 +216,7 @@ LikelihoodScan AudioScanner::Scan(const std::int16_t* samples, std::int64_t firs
   result.maxima = std::move(found.maxima);
   result.peaks = std::move(found.peaks);
   result.levels = tables->level->Levels(stft->newest_frame(), result.peaks);
+  if (tables->ripple) result.ripples = tables->ripple->Ripples(frames_, result.peaks);
   Done(Step::kEvidence);
   return result;
 }

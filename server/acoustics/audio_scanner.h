@@ -15,6 +15,7 @@
 #include "acoustics/config.h"
 #include "acoustics/likelihood_scan.h"
 #include "acoustics/peak_finder.h"
+#include "acoustics/peak_ripple.h"
 #include "acoustics/polarity.h"
 #include "acoustics/srp_phat.h"
 #include "acoustics/stft.h"
@@ -105,6 +106,7 @@ class AudioScanner {
   Stft stft_;
   Polarity polarity_;
   AudioScan scan_, rest_;                 // keep their memory from scan to scan
+  PeakRipple::Frames frames_;             // likewise
   std::vector<std::int16_t> mended_;      // likewise
   std::unique_ptr<Remainder> remainder_;  // that the last scan with dead microphones needed
   AudioClock clock_;

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "frames/echo_ripple.h"
 #include "frames/frames.h"
 #include "frames/octave_bands.h"
 
@@ -38,6 +39,9 @@ struct LikelihoodScan {
   // What the strongest of them bring to the array, in their order; see PeakLevel. One frame of the
   // scan: take means.
   std::vector<frames::BandPowers> levels;
+  // What echoes leave in the spectra of the strongest of them, in their order; see PeakRipple. Of
+  // microphones in a plane alone.
+  std::vector<frames::EchoRipple> ripples;
 
   frames::TimeNs mid_ns() const { return begin_ns + (end_ns - begin_ns) / 2; }
 };

@@ -81,7 +81,9 @@ FrameSpectra Stft::newest_frame() const {
   return {transform_->output_row(0), static_cast<std::ptrdiff_t>(transform_->output_stride)};
 }
 
-const PhatSpectra& Stft::Analyze(std::span<const std::int16_t> samples) {
+const PhatSpectra& Stft::Analyze(
+    std::span<const std::int16_t> samples,
+    const std::function<void(int frame, const FrameSpectra&)>& frame_done) {
   const FlushDenormals flush;
   const Kernels& kernels = BestKernels();
   const int window_samples = layout_.window_samples;
@@ -113,6 +115,7 @@ const PhatSpectra& Stft::Analyze(std::span<const std::int16_t> samples) {
       }
       kernels.phat(phat);
     }
+    if (frame_done) frame_done(t, newest_frame());
   }
   return spectra_;
 }

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <vector>
@@ -55,8 +56,11 @@ class Stft {
   // `samples`: interleaved, layout.scan_samples() of every microphone.
   // Deviation from eq. (1): a bin of magnitude 0, or so small beside its frame that float
   // arithmetic leaves only rounding there, gives 0.
-  // The result holds until the next call.
-  const PhatSpectra& Analyze(std::span<const std::int16_t> samples);
+  // The result holds until the next call. `frame_done` gets each frame's transforms as they are,
+  // which hold until it returns.
+  const PhatSpectra& Analyze(
+      std::span<const std::int16_t> samples,
+      const std::function<void(int frame, const FrameSpectra&)>& frame_done = {});
 
   // The newest frame of what was analyzed last; holds until the next call.
   FrameSpectra newest_frame() const;

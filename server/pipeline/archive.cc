@@ -48,12 +48,17 @@ void serialize(Archive& archive, soundmap::sound_map::View& view, unsigned) {
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::sound_map::FloorEcho& echo, unsigned) {
+  archive& echo.scans& echo.at_place& echo.at_image& echo.image_in_map_m;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::sound_map::SourceRegister::Track& track, unsigned) {
   archive& track.source& track.judged_ns& track.log_odds_on& track.found_ns& track
       .active_until_ns& track.left& track.listened_scans& track.heard_scans& track.sure_scans& track
       .silent_s& track.announced& track.position_scans& track.mean_in_map_m& track.scatter_m2& track
       .views.present& track.views.past& track.views.past_heard& track.views.ended& track.mirrors
-      .scans& track.mirrors.with;
+      .scans& track.mirrors.with& track.echo;
 }
 
 template <class Archive>
@@ -66,9 +71,10 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& sta
 namespace soundmap::pipeline {
 namespace {
 
-constexpr std::uint32_t kSourceRegistersVersion = 5;
+constexpr std::uint32_t kSourceRegistersVersion = 6;
 // Entries from before levels were measured have none, and begin with the length of a name.
-constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0005;
+constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0006;
+constexpr std::uint64_t kAudioScanVersionWithoutRipples = 0xffff'ffff'0000'0005;
 constexpr std::uint64_t kAudioScanVersionWithoutArray = 0xffff'ffff'0000'0004;
 constexpr std::uint64_t kAudioScanVersionWithoutBand = 0xffff'ffff'0000'0003;
 constexpr std::uint64_t kAudioScanVersionWithoutPlane = 0xffff'ffff'0000'0002;
@@ -80,14 +86,16 @@ std::string EncodePose(const localization::PoseEstimate& pose) { return ToBytes(
 std::string EncodeAudioScan(const AudioScanInfo& scan) {
   const sound_map::ArrayPlane plane = scan.array_plane.value_or(sound_map::ArrayPlane());
   std::vector<Eigen::Vector3f> surface_normals;
+  std::vector<frames::EchoRipple> ripples;
   for (const sound_map::HeardPeak& peak : scan.heard) {
     surface_normals.push_back(peak.surface_normal_in_map);
+    ripples.push_back(peak.ripple);
   }
   return ToBytes(kAudioScanVersion, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                  scan.end_points, scan.heard, scan.array_plane.has_value(), plane,
                  scan.full_scale_spl_db.has_value(), scan.full_scale_spl_db.value_or(0.0),
                  scan.band, scan.array_in_map_m.has_value(),
-                 scan.array_in_map_m.value_or(Eigen::Vector3d::Zero()), surface_normals);
+                 scan.array_in_map_m.value_or(Eigen::Vector3d::Zero()), surface_normals, ripples);
 }
 
 std::string EncodeSourceRegisters(const SourceRegisters& registers) {
@@ -113,7 +121,17 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   bool has_array = false;
   Eigen::Vector3d array_in_map_m;
   std::vector<Eigen::Vector3f> surface_normals;
+  std::vector<frames::EchoRipple> ripples;
   if (version == kAudioScanVersion) {
+    status =
+        FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
+                  scan.end_points, scan.heard, has_plane, plane, has_full_scale, full_scale_spl_db,
+                  scan.band, has_array, array_in_map_m, surface_normals, ripples);
+    if (status.ok() &&
+        (surface_normals.size() != scan.heard.size() || ripples.size() != scan.heard.size())) {
+      status = absl::DataLossError("an audio scan has other surfaces or ripples than peaks");
+    }
+  } else if (version == kAudioScanVersionWithoutRipples) {
     status = FromBytes(bytes, version, scan.robot, scan.pose, scan.noise_floor, scan.peaks,
                        scan.end_points, scan.heard, has_plane, plane, has_full_scale,
                        full_scale_spl_db, scan.band, has_array, array_in_map_m, surface_normals);
@@ -140,6 +158,7 @@ absl::StatusOr<AudioScanInfo> DecodeAudioScan(const std::string& bytes) {
   for (std::size_t i = 0; i < surface_normals.size(); ++i) {
     scan.heard[i].surface_normal_in_map = surface_normals[i];
   }
+  for (std::size_t i = 0; i < ripples.size(); ++i) scan.heard[i].ripple = std::move(ripples[i]);
   return scan;
 }
 

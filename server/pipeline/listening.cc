@@ -130,16 +130,18 @@ constexpr std::size_t kMaxPendingScans = 64;
 constexpr frames::TimeNs kNewScanAge_ns = 5'000'000'000;
 
 // SaveState()'s bytes: a later layout has another number.
-constexpr std::uint64_t kStateVersion = 0x534d'4c05;
+constexpr std::uint64_t kStateVersion = 0x534d'4c06;
 
 // A peak lies where a ray through it ends; neighbouring rays end in one voxel or the next.
 const double kMinPeakCosine = std::cos(geometry::RadFromDeg(5.0));
 
 // Where the peaks' sound comes from and how loud it is there: a level at 1 m, by the square of the
-// distance. Peaks without an end point near their direction have no place.
+// distance. Peaks without an end point near their direction have no place; those of an array in a
+// plane have one above it and one below.
 std::vector<sound_map::HeardPeak> PlacePeaks(const acoustics::LikelihoodScan& scan,
                                              const sound_map::EvidenceScan& evidence,
                                              const Eigen::Isometry3d& map_from_array,
+                                             const std::optional<Eigen::Vector3d>& array_normal,
                                              double voxel_size_m) {
   std::vector<Eigen::Vector3d> supporting_in_map;
   for (const sound_map::EndPoint& end_point : evidence.end_points) {
@@ -149,24 +151,36 @@ std::vector<sound_map::HeardPeak> PlacePeaks(const acoustics::LikelihoodScan& sc
   }
   std::vector<sound_map::HeardPeak> heard;
   for (std::size_t i = 0; i < scan.levels.size(); ++i) {
-    const Eigen::Vector3d direction = map_from_array.linear() * scan.peaks[i].direction_in_array;
-    double best_cosine = kMinPeakCosine;
-    double range_m = 0.0;
-    for (const Eigen::Vector3d& place : supporting_in_map) {
-      const Eigen::Vector3d ray = place - map_from_array.translation();
-      const double length_m = ray.norm();
-      const double cosine = ray.dot(direction) / length_m;
-      if (!(cosine > best_cosine)) continue;
-      best_cosine = cosine;
-      range_m = length_m;
+    std::vector<Eigen::Vector3d> directions_in_array = {scan.peaks[i].direction_in_array};
+    if (array_normal) {
+      directions_in_array.push_back(
+          directions_in_array[0] - 2.0 * array_normal->dot(directions_in_array[0]) * *array_normal);
     }
-    if (range_m == 0.0) continue;
-    sound_map::HeardPeak& peak = heard.emplace_back();
-    peak.place_in_map_m = map_from_array.translation() + range_m * direction;
-    peak.surface_normal_in_map =
-        (map_from_array.linear() * scan.peaks[i].surface_normal_in_array).cast<float>();
-    for (int band = 0; band < frames::kOctaveBands; ++band) {
-      peak.power_at_1m[band] = scan.levels[i][band] * static_cast<float>(range_m * range_m);
+    bool has_ripple = false;  // one of the two places is enough
+    for (const Eigen::Vector3d& in_array : directions_in_array) {
+      const Eigen::Vector3d direction = map_from_array.linear() * in_array;
+      double best_cosine = kMinPeakCosine;
+      double range_m = 0.0;
+      for (const Eigen::Vector3d& place : supporting_in_map) {
+        const Eigen::Vector3d ray = place - map_from_array.translation();
+        const double length_m = ray.norm();
+        const double cosine = ray.dot(direction) / length_m;
+        if (!(cosine > best_cosine)) continue;
+        best_cosine = cosine;
+        range_m = length_m;
+      }
+      if (range_m == 0.0) continue;
+      sound_map::HeardPeak& peak = heard.emplace_back();
+      peak.place_in_map_m = map_from_array.translation() + range_m * direction;
+      if (&in_array == &directions_in_array.front()) {
+        peak.surface_normal_in_map =
+            (map_from_array.linear() * scan.peaks[i].surface_normal_in_array).cast<float>();
+      }
+      if (i < scan.ripples.size() && !has_ripple) peak.ripple = scan.ripples[i];
+      has_ripple = true;
+      for (int band = 0; band < frames::kOctaveBands; ++band) {
+        peak.power_at_1m[band] = scan.levels[i][band] * static_cast<float>(range_m * range_m);
+      }
     }
   }
   return heard;
@@ -528,8 +542,8 @@ void Listening::State::Fuse(const BandEar& ear, acoustics::LikelihoodScan scan, 
   scan.likelihood.clear();
   const Eigen::Isometry3d map_from_array =
       pose->map_from_base.ToIsometry() * calibration.base_from_array;
-  std::vector<sound_map::HeardPeak> heard =
-      PlacePeaks(scan, *evidence, map_from_array, profile.sound_map.voxel_size_m);
+  std::vector<sound_map::HeardPeak> heard = PlacePeaks(
+      scan, *evidence, map_from_array, ear.scanner->array_normal(), profile.sound_map.voxel_size_m);
   std::optional<sound_map::ArrayPlane> array_plane;
   if (const auto normal = ear.scanner->array_normal()) {
     array_plane = {map_from_array.translation(), map_from_array.linear() * *normal};

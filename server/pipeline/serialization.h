@@ -49,9 +49,14 @@ void serialize(Archive& archive, soundmap::acoustics::Peak& peak, unsigned) {
 }
 
 template <class Archive>
+void serialize(Archive& archive, soundmap::frames::EchoRipple& ripple, unsigned) {
+  archive& ripple.waves_per_m& ripple.first_bin& ripple.values;
+}
+
+template <class Archive>
 void serialize(Archive& archive, soundmap::acoustics::LikelihoodScan& scan, unsigned) {
   archive& scan.begin_ns& scan.end_ns& scan.fault& scan.likelihood& scan.noise_floor& scan
-      .peaks& scan.maxima& scan.levels;
+      .peaks& scan.maxima& scan.levels& scan.ripples;
 }
 
 template <class Archive>

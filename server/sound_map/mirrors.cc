@@ -11,13 +11,12 @@ namespace {
 const double kMirrorCosine = std::cos(geometry::RadFromDeg(8.0));
 constexpr double kMinScans = 16.0;
 constexpr double kMaxScans = 1024.0;  // more are halved
-constexpr double kLeastMirrored = 0.5;
 
 }  // namespace
 
-bool Mirrors::Has(std::uint64_t id) const {
+bool Mirrors::Has(std::uint64_t id, double share) const {
   const auto other = with.find(id);
-  return other != with.end() && scans >= kMinScans && other->second >= kLeastMirrored * scans;
+  return other != with.end() && scans >= kMinScans && other->second >= share * scans;
 }
 
 void Mirrors::Merge(std::uint64_t from, std::uint64_t into) {

@@ -16,9 +16,9 @@ struct Mirrors {
   double scans = 0.0;                    // that heard the place, with whatever array
   std::map<std::uint64_t, double> with;  // of these, that heard the other one, by id, as its image
 
-  // Whether the place may be nothing but the image of the other one: in half of the scans that
-  // heard it, and these are not few, that one was heard where its image is.
-  bool Has(std::uint64_t id) const;
+  // Whether the place may be nothing but the image of the other one: in this share of the scans
+  // that heard it, and these are not few, that one was heard where its image is.
+  bool Has(std::uint64_t id, double share = 0.5) const;
 
   // `from` is part of `into` now.
   void Merge(std::uint64_t from, std::uint64_t into);

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "frames/echo_ripple.h"
 #include "frames/octave_bands.h"
 #include "sound_map/sound_sources.h"
 
@@ -32,6 +33,7 @@ struct HeardPeak {
   frames::BandPowers power_at_1m{};  // single scans scatter, also below 0: take means
   // Of the surface, towards the array, if it is flat there; 0: not known.
   Eigen::Vector3f surface_normal_in_map = Eigen::Vector3f::Zero();
+  frames::EchoRipple ripple;  // of arrays in a plane alone
 
   bool operator==(const HeardPeak&) const = default;
 };

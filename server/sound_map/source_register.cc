@@ -42,6 +42,10 @@ constexpr double kAtMaximum_m = 0.2;
 constexpr double kExplained = 0.5;
 // That the weaker of two mirrored places is the source.
 constexpr double kMirrorProbability = 0.3;
+// The echo of the floor tells which of the two it is from so many standard deviations on, also
+// where fewer of the scans that heard the one heard the other.
+constexpr double kEchoSigmas = 3.0;
+constexpr double kEchoShare = 0.2;
 // A source that was announced is not ruled out by one that is only just stronger.
 constexpr double kAnnouncedWeight = 1.5;
 
@@ -122,6 +126,9 @@ void SourceRegister::Observe(const Observation& scan) {
     Track& track = state_.tracks[i];
     if (hits_[i].supporting == 0) continue;
     heard.push_back({track.source.found.id, track.source.found.position_in_map_m, &track.mirrors});
+    if (scan.array_plane && scan.peaks != nullptr) {
+      track.echo.Add(*scan.array_plane, track.source.found.position_in_map_m, *scan.peaks);
+    }
   }
   CountMirrors(scan.array_plane, heard);
   for (const int i : touched_) Listen(state_.tracks[i], std::exchange(hits_[i], {}), scan);
@@ -180,9 +187,27 @@ void SourceRegister::Listen(Track& track, const Hit& hit, const Observation& sca
 }
 
 bool SourceRegister::RulesOut(const Track& track, const Track& mirror) const {
+  const bool is_image = IsImage(mirror);
+  if (is_image != IsImage(track)) {
+    const Track& image = is_image ? mirror : track;
+    const Track& other = is_image ? track : mirror;
+    const double apart_m =
+        (image.echo.ImagePlace_in_map_m() - other.source.found.position_in_map_m).norm();
+    if (apart_m < config_.sources.separation_m) return is_image;
+  }
+  const double echo = track.echo.Against(mirror.echo);
+  if (std::abs(echo) >= kEchoSigmas && mirror.mirrors.Has(track.source.found.id, kEchoShare)) {
+    return echo > 0.0;
+  }
   if (!mirror.mirrors.Has(track.source.found.id)) return false;
   return std::pair(StrengthOf(mirror), mirror.source.found.id) <
          std::pair(StrengthOf(track), track.source.found.id);
+}
+
+bool SourceRegister::IsImage(const Track& track) {
+  // What an array in space hears at the place speaks for the place.
+  return 2.0 * track.echo.scans >= track.mirrors.scans && track.echo.image_in_map_m.z() > 0.0 &&
+         track.echo.AgainstImage() <= -kEchoSigmas;
 }
 
 double SourceRegister::StrengthOf(const Track& track) {
@@ -192,12 +217,19 @@ double SourceRegister::StrengthOf(const Track& track) {
 void SourceRegister::JudgeFound(const std::vector<bool>& is_found) {
   std::vector<Track>& tracks = state_.tracks;
   std::vector<std::size_t> strongest_first;
+  std::vector<bool> ruled_out(tracks.size(), false);  // which explains nothing
   for (std::size_t t = 0; t < tracks.size(); ++t) {
-    if (tracks[t].source.state == SourceState::kActive) strongest_first.push_back(t);
+    if (tracks[t].source.state != SourceState::kActive) continue;
+    strongest_first.push_back(t);
+    ruled_out[t] = std::any_of(tracks.begin(), tracks.end(), [&](const Track& other) {
+      return other.source.state == SourceState::kActive && RulesOut(other, tracks[t]);
+    });
   }
   std::sort(strongest_first.begin(), strongest_first.end(), [&](std::size_t a, std::size_t b) {
-    return std::pair(-StrengthOf(tracks[a]), tracks[a].source.found.id) <
-           std::pair(-StrengthOf(tracks[b]), tracks[b].source.found.id);
+    const auto rank = [&](std::size_t t) {
+      return std::tuple(ruled_out[t], -StrengthOf(tracks[t]), tracks[t].source.found.id);
+    };
+    return rank(a) < rank(b);
   });
   std::vector<const RegisteredSource*> unexplained;
   for (const std::size_t t : strongest_first) {
@@ -214,7 +246,7 @@ void SourceRegister::JudgeFound(const std::vector<bool>& is_found) {
       largest = share;
       source.explained_by_id = stronger->found.id;
     }
-    if (most.direct < kExplained) unexplained.push_back(&source);
+    if (most.direct < kExplained && !ruled_out[t]) unexplained.push_back(&source);
     if (!is_found[t]) continue;
     source.found.probability = ProbabilityOf(tracks[t], most);
     if (source.found.probability < kAnnounceProbability) tracks[t].sure_scans = 0;
@@ -238,11 +270,16 @@ void SourceRegister::RuleOutMirrors() {
 
 RegisteredSource SourceRegister::Describe(const Track& track) const {
   RegisteredSource source = track.source;
+  if (IsImage(track)) {
+    source.found.position_in_map_m = track.echo.ImagePlace_in_map_m();
+    return source;
+  }
   if (track.mirrors.with.empty()) return source;
   const Track* strongest = nullptr;
   for (const Track& mirror : state_.tracks) {
     if (mirror.source.found.probability > kMirrorProbability || !RulesOut(track, mirror) ||
-        !track.mirrors.Has(mirror.source.found.id)) {
+        !track.mirrors.Has(mirror.source.found.id) ||
+        std::abs(track.echo.Against(mirror.echo)) >= kEchoSigmas) {
       continue;
     }
     if (strongest == nullptr || mirror.source.found.evidence > strongest->source.found.evidence) {

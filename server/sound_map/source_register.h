@@ -9,6 +9,7 @@
 
 #include "sound_map/config.h"
 #include "sound_map/evidence.h"
+#include "sound_map/floor_echo.h"
 #include "sound_map/mirrors.h"
 #include "sound_map/place_index.h"
 #include "sound_map/registered_source.h"
@@ -45,11 +46,13 @@ struct SourceEvent {
 // place explains is the less probable (RegisteredSource::ExplainedBy()). A place that is explained
 // from half of its view points explains nothing in turn.
 //
-// An array in a plane hears a source and its mirror image alike. Of two places, the weaker of which
-// is heard as the image of the other one (Mirrors::Has), the one with more evidence is the source;
-// the other one is kept as improbable, and told as mirror_in_map_m of the source as long as the
-// source, too, is heard with its image in half of the scans: an array in space and one in another
-// plane tell them apart. It is kept for a source that fell silent, since silence tells nothing.
+// An array in a plane hears a source and its mirror image alike. Of two places, one of which is
+// heard as the image of the other one (Mirrors::Has), the one that the echo of the floor fits is
+// the source (FloorEcho); where it does not tell, the one with more evidence. The other one is kept
+// as improbable, and told as mirror_in_map_m of the source as long as the echo does not tell and
+// the source, too, is heard with its image in half of the scans: an array in space and one in
+// another plane tell them apart, too. It is kept for a source that fell silent, since silence tells
+// nothing. A place whose image fits the echo where nothing was found is reported there.
 //
 // A scan listens to a source if it has an end point within core_radius_m of it, and hears it if one
 // of these supports a source. Silence counts only near where robots have heard the source before:
@@ -101,6 +104,7 @@ class SourceRegister {
     Eigen::Matrix3d scatter_m2 = Eigen::Matrix3d::Zero();
     Views views;
     Mirrors mirrors;
+    FloorEcho echo;
   };
   // All that the future depends on.
   struct State {
@@ -125,6 +129,8 @@ class SourceRegister {
   void JudgeFound(const std::vector<bool>& is_found);
   void RuleOutMirrors();
   bool RulesOut(const Track& track, const Track& mirror) const;
+  // By its echo, what is heard there is at its image.
+  static bool IsImage(const Track& track);
   RegisteredSource Describe(const Track& track) const;
   double ProbabilityOf(const Track& track, const Explained& explained) const;
   static double StrengthOf(const Track& track);

@@ -99,6 +99,29 @@ TEST(AudioScanner, TheCutIntoBlocksDoesNotMatter) {
   }
 }
 
+TEST(AudioScanner, AnArrayInAPlaneTellsTheRipplesOfItsPeaks) {
+  for (const bool in_plane : {true, false}) {
+    Microphones mics = FourMicrophones();
+    if (in_plane) {
+      for (Eigen::Vector3d& mic : mics) mic.z() = 0.0;
+    }
+    const auto scanner = AudioScanner::Create(Coarse(), CalibrationOf(mics, kRate_hz)).value();
+    std::mt19937_64 random(2);
+    const auto sound = testing::Record(mics, kRate_hz, 8000, {{{0.6, 0.0, 0.8}}}, 300.0, random);
+    const auto scans = PushAll(*scanner, sound, 777);
+    ASSERT_EQ(scans.size(), 3u);
+    for (const LikelihoodScan& scan : scans) {
+      ASSERT_FALSE(scan.levels.empty());
+      EXPECT_EQ(scan.ripples.size(), in_plane ? scan.levels.size() : 0u);
+      for (const frames::EchoRipple& ripple : scan.ripples) EXPECT_EQ(ripple.values.size(), 48u);
+    }
+    const auto other = AudioScanner::Create(Coarse(), CalibrationOf(mics, kRate_hz)).value();
+    const auto again = PushAll(*other, sound, 1000);
+    ASSERT_EQ(again.size(), scans.size());
+    for (std::size_t k = 0; k < scans.size(); ++k) EXPECT_EQ(scans[k].ripples, again[k].ripples);
+  }
+}
+
 TEST(AudioScanner, ThePaperProfileThresholdsThePower) {
   std::mt19937_64 random(2);
   const Microphones dome = testing::DomeArray();

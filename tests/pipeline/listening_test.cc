@@ -363,6 +363,41 @@ std::vector<frames::Frame> DriveBetweenTwoSounds(double seconds, bool pillar) {
   return drive;
 }
 
+// Such an array hears above and below alike: a peak has a place on either side of it, and what the
+// floor's echo says of it.
+TEST_F(ListeningTest, APeakOfAnArrayInAPlaneHasTwoPlaces) {
+  frames::Calibration robot = Robot();
+  for (Eigen::Vector3d& mic : robot.mic_in_array_m) mic.z() = 0.0;
+  robot.base_from_array.translation().z() = 1.3;  // the LIDAR sees what is level with it
+  std::get<acoustics::EqualAreaGrid>(profile_.acoustics.grid).spacing_rad =
+      geometry::RadFromDeg(3.0);
+  const auto listening =
+      Listening::Create(profile_, {}, robot, Room(profile_, false), TruePose(0.0), /*seed=*/1)
+          .value();
+  Listening::Output output;
+  for (const frames::Frame& frame : DriveBetweenTwoSounds(4.0, false)) {
+    Process(*listening, frame, output);
+  }
+  listening->Finish(output);
+  int pairs = 0;
+  for (const Listening::Scan& scan : output.scans) {
+    ASSERT_TRUE(scan.array_plane);
+    const auto along_plane = [&scan](const sound_map::HeardPeak& peak) -> Eigen::Vector2d {
+      return (peak.place_in_map_m - scan.array_plane->origin_in_map_m).normalized().head<2>();
+    };
+    const std::vector<sound_map::HeardPeak>& heard = scan.heard;
+    for (std::size_t i = 0; i + 1 < heard.size(); ++i) {
+      if ((along_plane(heard[i]) - along_plane(heard[i + 1])).norm() > 1e-9) continue;
+      ++pairs;
+      EXPECT_FALSE(heard[i].ripple.values.empty());
+      EXPECT_TRUE(heard[i + 1].ripple.values.empty());
+      const double z_m = scan.array_plane->origin_in_map_m.z();
+      EXPECT_LE((heard[i].place_in_map_m.z() - z_m) * (heard[i + 1].place_in_map_m.z() - z_m), 0.0);
+    }
+  }
+  EXPECT_GT(pairs, 20);
+}
+
 const std::vector<Band> kHissAndHum = {{"hiss", 4000.0, 7000.0}, {"hum", 200.0, 900.0}};
 
 class BandsTest : public ListeningTest {

@@ -158,7 +158,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   }
 }
 
-// What version 5 of the register's state looks like on disk: the bytes of a state of which every
+// What version 6 of the register's state looks like on disk: the bytes of a state of which every
 // part is another number.
 TEST(Archive, AStoredRegisterKeepsItsBytes) {
   sound_map::SourceRegister::State state;
@@ -186,13 +186,17 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   track.views.ended = 70.0;
   track.mirrors.scans = 40.0;
   track.mirrors.with = {{3, 20.0}, {9, 1.5}};
+  track.echo.scans = 12.0;
+  track.echo.at_place[3] = 20.5;
+  track.echo.at_image[12] = -4.25;
+  track.echo.image_in_map_m = {1.5, 2.5, 2.0};
   state.scans = {{"r1", 3}};
   state.last_ns = 99;
   const std::string bytes = EncodeSourceRegisters({state, {}});
   boost::crc_32_type checksum;
   checksum.process_bytes(bytes.data(), bytes.size());
-  EXPECT_EQ(bytes.size(), 1706u);
-  EXPECT_EQ(checksum.checksum(), 0xdfbf69a6);
+  EXPECT_EQ(bytes.size(), 2228u);
+  EXPECT_EQ(checksum.checksum(), 0x2e2487d2);
   const auto read = DecodeSourceRegisters(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
   ASSERT_EQ(read->size(), 2u);
@@ -206,6 +210,7 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   EXPECT_EQ(tracks[1].views.ended, 70.0);
   EXPECT_EQ(tracks[1].mirrors.scans, 40.0);
   EXPECT_EQ(tracks[1].mirrors.with, track.mirrors.with);
+  EXPECT_EQ(tracks[1].echo, track.echo);
 
   // Those of another version are made again from the journal.
   const std::string before = std::string("\2\0\0\0", 4) + bytes.substr(4);

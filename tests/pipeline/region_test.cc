@@ -175,11 +175,22 @@ TEST(Archive, EntriesFromBeforeThereWereBandsAreOfTheMainMap) {
   scan.heard = {{Eigen::Vector3d(1.0, 2.0, 3.0), {0.5f, 0.25f}}};
   scan.array_plane = {{1.0, 2.0, 3.0}, Eigen::Vector3d::UnitX()};
   scan.band = 2;
+  scan.heard[0].ripple = {0.125, 3, {1, -2, 127, -127}};
   const std::string bytes = EncodeAudioScan(scan);
   EXPECT_EQ(DecodeAudioScan(bytes)->band, 2);
-  // Version 4 ended before the array and the surfaces (a number of them, its version, and one
-  // surface), version 3 before full scale and band, version 2 before the plane.
-  std::string without_array = bytes.substr(0, bytes.size() - 1 - 3 * 8 - 8 - 4 - 3 * 4);
+  EXPECT_EQ(DecodeAudioScan(bytes)->heard, scan.heard);
+  // Version 5 ended before the ripples (a number of them, its version, and one ripple of a number,
+  // a bin, and four values behind their number), version 4 ended before the array and the surfaces
+  // (a number of them, its version, and one surface), version 3 before full scale and band, version
+  // 2 before the plane.
+  std::string without_ripples = bytes.substr(0, bytes.size() - 8 - 4 - 8 - 4 - 8 - 4);
+  without_ripples[0] = '\5';
+  scan.heard[0].ripple = {};
+  const auto recent = DecodeAudioScan(without_ripples);
+  ASSERT_TRUE(recent.ok()) << recent.status();
+  EXPECT_EQ(recent->heard, scan.heard);
+  std::string without_array =
+      without_ripples.substr(0, without_ripples.size() - 1 - 3 * 8 - 8 - 4 - 3 * 4);
   without_array[0] = '\4';
   const auto old = DecodeAudioScan(without_array);
   ASSERT_TRUE(old.ok()) << old.status();

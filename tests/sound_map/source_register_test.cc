@@ -595,9 +595,10 @@ class WallDrive {
     register_.Update(found_);
   }
 
-  // All places are seen; those at these heights are heard.
+  // All places are seen; those at these heights are heard, with the echo of a source at
+  // `source_m`.
   void Drive(int scans, std::optional<ArrayPlane> plane, const std::vector<double>& heard_m,
-             double array_m = 1.2) {
+             double array_m = 1.2, std::optional<double> source_m = std::nullopt) {
     for (int scan = 0; scan < scans; ++scan) {
       EvidenceScan evidence;
       evidence.stamp_ns = 200 + scans_ * kScan_ns;
@@ -609,7 +610,12 @@ class WallDrive {
       }
       const Eigen::Vector2d robot(0.0625 * (scans_++ % 80), 1.0);
       if (plane) plane->origin_in_map_m << robot, array_m;
-      register_.Observe({"r1", robot, &evidence, nullptr, plane});
+      std::vector<HeardPeak> peaks;
+      if (source_m) {
+        peaks.emplace_back().place_in_map_m = {3.0, 4.0, *source_m};
+        peaks[0].ripple = FloorRipple(Eigen::Vector3d(robot.x(), robot.y(), array_m), *source_m);
+      }
+      register_.Observe({"r1", robot, &evidence, &peaks, plane});
     }
     events_ = register_.Update(found_);
   }
@@ -625,6 +631,12 @@ class WallDrive {
     }
     return ids;
   }
+  double Height_m(std::uint64_t id) const {
+    for (const RegisteredSource& source : register_.Sources()) {
+      if (source.found.id == id) return source.found.position_in_map_m.z();
+    }
+    return -1.0;
+  }
   // Height of the place where this source may be instead.
   std::optional<double> Instead_m(std::uint64_t id) const {
     for (const RegisteredSource& source : register_.Sources()) {
@@ -639,6 +651,20 @@ class WallDrive {
   SourceRegister& sources() { return register_; }
 
  private:
+  // Of a source at (3, 4) with a floor that reflects everything.
+  static frames::EchoRipple FloorRipple(const Eigen::Vector3d& array, double source_m) {
+    const double across_m = (Eigen::Vector2d(3.0, 4.0) - array.head<2>()).norm();
+    const double detour_m =
+        std::hypot(across_m, source_m + array.z()) - std::hypot(across_m, source_m - array.z());
+    frames::EchoRipple ripple{40.0 / 343.0, 3, {}};
+    for (int bin = 3; bin <= 50; ++bin) {
+      const double waves = bin * ripple.waves_per_m * detour_m;
+      ripple.values.push_back(
+          static_cast<std::int8_t>(std::lround(30.0 * std::cos(2.0 * geometry::kPi * waves))));
+    }
+    return ripple;
+  }
+
   std::vector<SoundSource> found_;
   SourceRegister register_{DefaultConfig()};
   std::vector<SourceEvent> events_;
@@ -672,6 +698,48 @@ TEST(SourceRegister, OfTwoMirroredPlacesTheStrongerIsTheSourceAndMayBeAtTheOther
     EXPECT_EQ(both.Instead_m(1), std::nullopt);
     EXPECT_EQ(both.Instead_m(2), std::nullopt);
   }
+}
+
+TEST(SourceRegister, OfTwoMirroredPlacesTheEchoOfTheFloorTellsTheSource) {
+  for (const double source_m : {kLower_m, kUpper_m}) {
+    const bool low = source_m == kLower_m;
+    WallDrive drive({OnWall(1, kLower_m, low ? 100.0 : 400.0),
+                     OnWall(2, kUpper_m, low ? 400.0 : 100.0), OnWall(3, kThird_m, 300.0)});
+    drive.Drive(12, ArrayPlane(), {kLower_m, kUpper_m, kThird_m}, 1.2, source_m);
+    drive.Drive(80, ArrayPlane(), {kLower_m, kUpper_m, kThird_m}, 1.2, source_m);
+    const std::uint64_t source = low ? 1 : 2, image = low ? 2 : 1;
+    EXPECT_EQ(drive.Reported(), Ids({source, 3}));
+    EXPECT_EQ(drive.Instead_m(source), std::nullopt);
+    EXPECT_EQ(drive.Height_m(source), source_m);
+    // It is no stronger one's ghost: the image explains nothing.
+    for (const RegisteredSource& found : drive.sources().Sources()) {
+      EXPECT_NE(found.explained_by_id, image);
+    }
+  }
+}
+
+// Nothing was found where the sound comes from: the LIDAR does not see the foot of the wall, say.
+TEST(SourceRegister, APlaceWhoseImageFitsTheEchoIsReportedThere) {
+  WallDrive drive({OnWall(2, kUpper_m, 400.0)});
+  drive.Drive(80, ArrayPlane(), {kUpper_m}, 1.2, kLower_m);
+  EXPECT_EQ(drive.Reported(), Ids({2}));
+  EXPECT_NEAR(drive.Height_m(2), kLower_m, 1e-9);
+  {
+    // Found there after all: it is the source, and the place is its image.
+    WallDrive both = drive;
+    both.Find({OnWall(1, kLower_m, 100.0), OnWall(2, kUpper_m, 400.0)});
+    both.Drive(80, ArrayPlane(), {kLower_m, kUpper_m}, 1.2, kLower_m);
+    EXPECT_EQ(both.Reported(), Ids({1}));
+    EXPECT_NEAR(both.Height_m(1), kLower_m, 1e-9);
+  }
+  {
+    WallDrive in_space = drive;  // knows better
+    in_space.Drive(81, std::nullopt, {kUpper_m});
+    EXPECT_EQ(in_space.Height_m(2), kUpper_m);
+  }
+  WallDrive above({OnWall(2, kUpper_m, 400.0)});
+  above.Drive(80, ArrayPlane(), {kUpper_m}, 1.2, kUpper_m);
+  EXPECT_EQ(above.Height_m(2), kUpper_m);
 }
 
 // What was ambiguous, until something tells the two places apart.
