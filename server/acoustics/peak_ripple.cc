@@ -65,7 +65,6 @@ std::vector<frames::EchoRipple> PeakRipple::Ripples(const Frames& frames,
       step[m] = std::complex<float>(std::polar(1.0, 2.0 * geometry::kPi * waves));
     }
     wave = step;
-    bool silent = false;
     const float* at = frames.data();
     for (int bin = 1; bin <= last_kept_; ++bin) {
       std::fill(real.begin(), real.end(), 0.0f);
@@ -83,10 +82,8 @@ std::vector<frames::EchoRipple> PeakRipple::Ripples(const Frames& frames,
       }
       double power = 0.0;
       for (int f = 0; f < frames_; ++f) power += real[f] * real[f] + imaginary[f] * imaginary[f];
-      silent = silent || !(power > 0.0);
       log_power[bin] = std::log(power);
     }
-    if (silent) continue;
     std::vector<double> off(last_ - first_ + 1);
     double mean = 0.0;
     for (int bin = first_; bin <= last_; ++bin) {
@@ -102,7 +99,7 @@ std::vector<frames::EchoRipple> PeakRipple::Ripples(const Frames& frames,
       value -= mean;
       square += value * value / static_cast<double>(off.size());
     }
-    if (!(square > 0.0)) continue;
+    if (!(square > 0.0)) continue;  // a bin is silent, and its logarithm no number
     ripples[i].waves_per_m = bin_waves_per_m_;
     ripples[i].first_bin = first_;
     for (const double value : off) {

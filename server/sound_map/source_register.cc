@@ -217,7 +217,7 @@ double SourceRegister::StrengthOf(const Track& track) {
 void SourceRegister::JudgeFound(const std::vector<bool>& is_found) {
   std::vector<Track>& tracks = state_.tracks;
   std::vector<std::size_t> strongest_first;
-  std::vector<bool> ruled_out(tracks.size(), false);  // which explains nothing
+  std::vector<bool> ruled_out(tracks.size(), false);  // these come last: they explain no source
   for (std::size_t t = 0; t < tracks.size(); ++t) {
     if (tracks[t].source.state != SourceState::kActive) continue;
     strongest_first.push_back(t);
@@ -246,7 +246,7 @@ void SourceRegister::JudgeFound(const std::vector<bool>& is_found) {
       largest = share;
       source.explained_by_id = stronger->found.id;
     }
-    if (most.direct < kExplained && !ruled_out[t]) unexplained.push_back(&source);
+    if (most.direct < kExplained) unexplained.push_back(&source);
     if (!is_found[t]) continue;
     source.found.probability = ProbabilityOf(tracks[t], most);
     if (source.found.probability < kAnnounceProbability) tracks[t].sure_scans = 0;

@@ -86,6 +86,8 @@ TEST_F(FloorEchoTest, ManyScansSayNoMoreThanAHundred) {
   const FloorEcho many = Drive(source, source, 5000);
   EXPECT_NEAR(many.Against(Drive(source, image, 5000)), of_100, 0.05 * of_100);
   EXPECT_LE(many.scans, 1024.0);
+  const double from_image = Drive(source, image, 100).AgainstImage();
+  EXPECT_NEAR(Drive(source, image, 5000).AgainstImage(), from_image, -0.05 * from_image);
 }
 
 // What ends on the floor itself has no echo: only the other place can be told.

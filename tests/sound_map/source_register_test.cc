@@ -589,6 +589,20 @@ SoundSource OnWall(std::uint64_t id, double z_m, double evidence, double probabi
   return source;
 }
 
+// With a floor that reflects everything.
+frames::EchoRipple FloorRipple(const Eigen::Vector3d& array, const Eigen::Vector3d& source) {
+  const double across_m = (source - array).head<2>().norm();
+  const double detour_m =
+      std::hypot(across_m, source.z() + array.z()) - std::hypot(across_m, source.z() - array.z());
+  frames::EchoRipple ripple{40.0 / 343.0, 3, {}};
+  for (int bin = 3; bin <= 50; ++bin) {
+    const double waves = bin * ripple.waves_per_m * detour_m;
+    ripple.values.push_back(
+        static_cast<std::int8_t>(std::lround(30.0 * std::cos(2.0 * geometry::kPi * waves))));
+  }
+  return ripple;
+}
+
 class WallDrive {
  public:
   explicit WallDrive(std::vector<SoundSource> found) : found_(std::move(found)) {
@@ -613,7 +627,8 @@ class WallDrive {
       std::vector<HeardPeak> peaks;
       if (source_m) {
         peaks.emplace_back().place_in_map_m = {3.0, 4.0, *source_m};
-        peaks[0].ripple = FloorRipple(Eigen::Vector3d(robot.x(), robot.y(), array_m), *source_m);
+        peaks[0].ripple =
+            FloorRipple(Eigen::Vector3d(robot.x(), robot.y(), array_m), peaks[0].place_in_map_m);
       }
       register_.Observe({"r1", robot, &evidence, &peaks, plane});
     }
@@ -651,20 +666,6 @@ class WallDrive {
   SourceRegister& sources() { return register_; }
 
  private:
-  // Of a source at (3, 4) with a floor that reflects everything.
-  static frames::EchoRipple FloorRipple(const Eigen::Vector3d& array, double source_m) {
-    const double across_m = (Eigen::Vector2d(3.0, 4.0) - array.head<2>()).norm();
-    const double detour_m =
-        std::hypot(across_m, source_m + array.z()) - std::hypot(across_m, source_m - array.z());
-    frames::EchoRipple ripple{40.0 / 343.0, 3, {}};
-    for (int bin = 3; bin <= 50; ++bin) {
-      const double waves = bin * ripple.waves_per_m * detour_m;
-      ripple.values.push_back(
-          static_cast<std::int8_t>(std::lround(30.0 * std::cos(2.0 * geometry::kPi * waves))));
-    }
-    return ripple;
-  }
-
   std::vector<SoundSource> found_;
   SourceRegister register_{DefaultConfig()};
   std::vector<SourceEvent> events_;
@@ -718,10 +719,41 @@ TEST(SourceRegister, OfTwoMirroredPlacesTheEchoOfTheFloorTellsTheSource) {
   }
 }
 
+// A machine before a wall, and on the wall, twice as far away, what is heard in the mirrored
+// direction. Its own image would be below the floor.
+TEST(SourceRegister, TheEchoOfTheFloorTellsWhatStandsNearerThanItsImage) {
+  for (const bool with_echo : {true, false}) {
+    SourceRegister sources(DefaultConfig());
+    std::vector<SoundSource> found = {OnWall(1, 0.5, 150.0), OnWall(2, 2.6, 400.0)};
+    found[0].position_in_map_m.y() = 2.0;
+    sources.Update(found);
+    const auto key_of = [](const SoundSource& source) {
+      return *geometry::KeyFromPoint(source.position_in_map_m, kVoxel_m);
+    };
+    for (int scan = 0; scan < 80; ++scan) {
+      const Eigen::Vector3d array(2.9 + 0.0025 * scan, 0.0, 1.2);
+      EvidenceScan evidence{200 + scan * kScan_ns, {}, {key_of(found[0]), key_of(found[1])}};
+      for (const SoundSource& source : found) evidence.end_points.push_back({key_of(source), 0.9f});
+      std::vector<HeardPeak> peaks(1);
+      peaks[0].place_in_map_m = found[0].position_in_map_m;
+      if (with_echo) peaks[0].ripple = FloorRipple(array, found[0].position_in_map_m);
+      sources.Observe({"r1", array.head<2>(), &evidence, &peaks,
+                       ArrayPlane{array, Eigen::Vector3d::UnitZ()}, std::nullopt, array});
+    }
+    sources.Update(found);
+    const std::vector<RegisteredSource> told = sources.Sources();
+    ASSERT_EQ(told.size(), 2u);
+    EXPECT_EQ(told[0].found.id, with_echo ? 1u : 2u);
+    EXPECT_GE(told[0].found.probability, 0.5);
+    EXPECT_EQ(told[0].explained_by_id, 0u);
+    EXPECT_LE(told[1].found.probability, 0.3);
+  }
+}
+
 // Nothing was found where the sound comes from: the LIDAR does not see the foot of the wall, say.
 TEST(SourceRegister, APlaceWhoseImageFitsTheEchoIsReportedThere) {
   WallDrive drive({OnWall(2, kUpper_m, 400.0)});
-  drive.Drive(80, ArrayPlane(), {kUpper_m}, 1.2, kLower_m);
+  drive.Drive(400, ArrayPlane(), {kUpper_m}, 1.2, kLower_m);
   EXPECT_EQ(drive.Reported(), Ids({2}));
   EXPECT_NEAR(drive.Height_m(2), kLower_m, 1e-9);
   {
@@ -734,7 +766,7 @@ TEST(SourceRegister, APlaceWhoseImageFitsTheEchoIsReportedThere) {
   }
   {
     WallDrive in_space = drive;  // knows better
-    in_space.Drive(81, std::nullopt, {kUpper_m});
+    in_space.Drive(401, std::nullopt, {kUpper_m});
     EXPECT_EQ(in_space.Height_m(2), kUpper_m);
   }
   WallDrive above({OnWall(2, kUpper_m, 400.0)});
