@@ -2,7 +2,6 @@
 
 #include <Eigen/Core>
 #include <array>
-#include <optional>
 #include <span>
 
 #include "sound_map/registered_source.h"
