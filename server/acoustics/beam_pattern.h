@@ -55,6 +55,11 @@ class BeamPattern {
   // Image points of distinguishable directions are as far apart as they are.
   Eigen::Vector3d Distinguishable(const Eigen::Vector3d& direction) const;
 
+  // The part of a vector along the plane of microphones that lie in one.
+  Eigen::Vector3d AlongPlane(const Eigen::Vector3d& v) const {
+    return v - array_axis_.dot(v) * array_axis_;
+  }
+
   // The other direction with the same response, for microphones in a plane.
   Eigen::Vector3d MirrorImage(const Eigen::Vector3d& direction) const {
     return direction - 2.0 * array_axis_.dot(direction) * array_axis_;

@@ -274,16 +274,29 @@ Peaks PeakFinder::Find(const AudioScan& scan, AudioScan& memory) const {
   return found;
 }
 
+// Angle within which all directions on one side of the plane lie whose parts along it are no
+// further from that of `direction`.
+double PeakFinder::Reach_rad(const Eigen::Vector3d& direction, double along_plane) const {
+  const double along = beam_.AlongPlane(direction).norm();
+  const auto height = [](double at) { return std::sqrt(std::max(0.0, 1.0 - at * at)); };
+  const double rise = std::max(height(std::max(0.0, along - along_plane)) - height(along),
+                               height(along) - height(std::min(1.0, along + along_plane)));
+  return 2.0 * std::asin(std::min(1.0, 0.5 * std::hypot(along_plane, rise)));
+}
+
 std::vector<float> PeakFinder::Likelihood(std::span<const Peak> peaks) const {
   const geometry::DirectionGrid& grid = srp_->grid();
+  const bool in_plane = beam_.array_rank() == 2;
   std::vector<float> likelihood(grid.size(), static_cast<float>(evidence_.p_rest));
-  const auto tell = [&](double radius_rad, double value, bool reflections) {
+  // Of an array in a plane, the parts along it may be `along_plane` apart instead.
+  const auto tell = [&](double radius_rad, double along_plane, double value, bool reflections) {
     const double near = std::cos(radius_rad);
     for (const Peak& peak : peaks) {
       if (peak.reflection && !reflections) continue;
       const Eigen::Vector3d image = beam_.Distinguishable(peak.direction_in_array);
       const auto tell_one = [&](int i) {
-        if (image.dot(beam_.Distinguishable(grid[i])) >= near) {
+        if (image.dot(beam_.Distinguishable(grid[i])) >= near ||
+            (in_plane && beam_.AlongPlane(grid[i] - image).norm() < along_plane)) {
           likelihood[i] = static_cast<float>(value);
         }
       };
@@ -291,14 +304,14 @@ std::vector<float> PeakFinder::Likelihood(std::span<const Peak> peaks) const {
         for (int i = 0; i < grid.size(); ++i) tell_one(i);
         continue;
       }
-      cells_.VisitAround(image, radius_rad, tell_one);
-      if (beam_.array_rank() == 2) {
-        cells_.VisitAround(beam_.MirrorImage(image), radius_rad, tell_one);
-      }
+      const double reach_rad = std::max(radius_rad, in_plane ? Reach_rad(image, along_plane) : 0.0);
+      cells_.VisitAround(image, reach_rad, tell_one);
+      if (in_plane) cells_.VisitAround(beam_.MirrorImage(image), reach_rad, tell_one);
     }
   };
-  tell(evidence_.undecided_radius_rad, evidence_.p_undecided, /*reflections=*/true);
-  tell(evidence_.peak_radius_rad, evidence_.p_peak, /*reflections=*/false);
+  tell(evidence_.undecided_radius_rad, 0.0, evidence_.p_undecided, /*reflections=*/true);
+  tell(evidence_.peak_radius_rad, std::sqrt(0.5) * std::sin(evidence_.peak_radius_rad),
+       evidence_.p_peak, /*reflections=*/false);
   return likelihood;
 }
 

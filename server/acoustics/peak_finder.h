@@ -49,7 +49,10 @@ class PeakFinder {
   }
 
   // The likelihood of every direction of the grid. Directions that the array cannot tell from a
-  // peak count as that peak; those of a reflection are undecided.
+  // peak count as that peak; those of a reflection are undecided. What an array in a plane hears
+  // depends on the directions' parts along it, which hardly change with the height near the plane:
+  // there, all heights count that it tells no better apart than two that lie peak_radius_rad apart
+  // at 45 degrees.
   std::vector<float> Likelihood(std::span<const Peak> peaks) const;
 
   const BeamPattern& beam() const { return beam_; }
@@ -89,6 +92,7 @@ class PeakFinder {
   Eigen::Vector3d Reported(const Eigen::Vector3d& direction) const;
   Background BackgroundOf(std::span<const float> residual) const;
   bool Covers(const Eigen::Vector3d& direction) const;
+  double Reach_rad(const Eigen::Vector3d& direction, double along_plane) const;
 
   PeakEvidence evidence_;
   std::shared_ptr<const SrpPhat> srp_;

@@ -79,6 +79,10 @@ double FloorEcho::Against(const FloorEcho& other) const {
   return InSigmas(Best(at_place) / scans - Best(other.at_place) / other.scans, least_scans);
 }
 
+double FloorEcho::AtPlace() const {
+  return scans > 0.0 ? Best(at_place) / scans * std::sqrt(std::min(scans, kMostCounted)) : 0.0;
+}
+
 double FloorEcho::AgainstImage() const {
   return scans > 0.0 ? InSigmas((Best(at_place) - Best(at_image)) / scans, scans) : 0.0;
 }

@@ -28,10 +28,11 @@ struct FloorEcho {
   void Add(const ArrayPlane& plane, const Eigen::Vector3d& place_in_map_m,
            std::span<const HeardPeak> peaks);
 
-  // In standard deviations of sound without an echo: the sound comes from this place (> 0) or from
-  // the other one (< 0).
+  // In standard deviations of sound without an echo: how well the echo fits the place; 0: no scan.
+  double AtPlace() const;
+  // Likewise: the sound comes from this place (> 0) or from the other one (< 0).
   double Against(const FloorEcho& other) const;
-  // Likewise, from this place or from its image.
+  // From this place or from its image.
   double AgainstImage() const;
   // Above or below the image, where the echo fits best there.
   Eigen::Vector3d ImagePlace_in_map_m() const;

@@ -106,6 +106,16 @@ std::optional<double> TotalLevel_db(const Spectrum& spectrum_db) {
   return 10.0 * std::log10(power);
 }
 
+bool RegisteredSource::HeardInPlanesAlone() const {
+  bool in_plane = false;
+  for (const ViewPoint& view_point : view_points) {
+    if (!view_point.array_known) continue;
+    if (view_point.plane_normal_in_map == Eigen::Vector3d::Zero()) return false;
+    in_plane = true;
+  }
+  return in_plane;
+}
+
 Explained RegisteredSource::ExplainedBy(const Eigen::Vector3d& other_in_map_m) const {
   int known = 0;
   Explained explained;

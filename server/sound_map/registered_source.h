@@ -106,6 +106,9 @@ struct RegisteredSource {
   // weaker candidate, mirrored. Not part of the register's state, which it follows from.
   std::optional<Eigen::Vector3d> mirror_in_map_m;
 
+  // Whether the arrays that are known to have heard it, one or more, all lie in a plane.
+  bool HeardInPlanesAlone() const;
+
   // Median over the view points of the mean power at 1 m, 0 dB being a full-scale square wave.
   Spectrum Spectrum_db() const;
   // Likewise, in dB re 20 uPa, by the robots with calibrated microphones alone.

@@ -248,7 +248,13 @@ void SourceRegister::JudgeFound(const std::vector<bool>& is_found) {
     }
     if (most.direct < kExplained) unexplained.push_back(&source);
     if (!is_found[t]) continue;
-    source.found.probability = ProbabilityOf(tracks[t], most);
+    source.found.probability = ProbabilityOf(tracks[t], tracks[t], most);
+    // What was heard at the images that it rules out was heard from here.
+    for (const Track& image : tracks) {
+      if (image.source.state != SourceState::kActive || !RulesOut(tracks[t], image)) continue;
+      source.found.probability =
+          std::max(source.found.probability, ProbabilityOf(tracks[t], image, most));
+    }
     if (source.found.probability < kAnnounceProbability) tracks[t].sure_scans = 0;
   }
 }
@@ -290,12 +296,15 @@ RegisteredSource SourceRegister::Describe(const Track& track) const {
   return source;
 }
 
-double SourceRegister::ProbabilityOf(const Track& track, const Explained& explained) const {
-  const SoundSource& found = track.source.found;
-  if (!config_.sources.judge_by_views || track.views.count() == 0.0 || !(found.evidence > 0.0)) {
+double SourceRegister::ProbabilityOf(const Track& track, const Track& heard,
+                                     const Explained& explained) const {
+  const SoundSource& found = heard.source.found;
+  if (!config_.sources.judge_by_views || heard.views.count() == 0.0 || !(found.evidence > 0.0)) {
     return found.probability;
   }
-  return ProbabilityFromLogOdds(LogOddsByViews(found.evidence, track.views, explained));
+  std::optional<double> echo;
+  if (track.source.HeardInPlanesAlone()) echo = track.echo.AtPlace();
+  return ProbabilityFromLogOdds(LogOddsByViews(found.evidence, heard.views, explained, echo));
 }
 
 void SourceRegister::JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns) {

@@ -132,7 +132,8 @@ class SourceRegister {
   // By its echo, what is heard there is at its image.
   static bool IsImage(const Track& track);
   RegisteredSource Describe(const Track& track) const;
-  double ProbabilityOf(const Track& track, const Explained& explained) const;
+  // That a source is at the place of `track`, if what `heard` has heard comes from there.
+  double ProbabilityOf(const Track& track, const Track& heard, const Explained& explained) const;
   static double StrengthOf(const Track& track);
   void JudgeActivity(Track& track, bool heard, frames::TimeNs stamp_ns);
   void MergeInto(Track& into, Track& from, std::vector<SourceEvent>& events);

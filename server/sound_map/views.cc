@@ -13,11 +13,18 @@ constexpr double kMaxPast = 32.0;
 // Robots whose present views are told apart.
 constexpr std::size_t kMaxPresent = 16;
 
-constexpr double kLogOddsBefore = -6.82;
-constexpr double kEvidencePower = 1.37;
-constexpr double kHeardPower = 1.28;
-constexpr double kLogOddsDirect = -5.48;
-constexpr double kLogOddsMirrored = -2.02;
+struct Odds {
+  double before;
+  double evidence_power;
+  double heard_power;
+  double direct;
+  double mirrored;
+};
+constexpr Odds kInSpace = {-6.82, 1.37, 1.28, -5.48, -2.02};
+constexpr Odds kInPlane = {-7.55, 1.26, 0.80, -3.01, 0.0};
+constexpr double kLogOddsEcho = 0.36;
+constexpr double kLeastEcho = -3.0;
+constexpr double kMostEcho = 8.0;
 constexpr double kMaxEvidence = 200.0;
 
 bool Heard(const View& view) {
@@ -59,11 +66,14 @@ double Views::heard() const {
                                            [](const auto& view) { return Heard(view.second); }));
 }
 
-double LogOddsByViews(double evidence, const Views& views, const Explained& explained) {
+double LogOddsByViews(double evidence, const Views& views, const Explained& explained,
+                      std::optional<double> echo) {
+  const Odds& odds = echo ? kInPlane : kInSpace;
   const double counted = std::min(evidence * views.kept_share(), kMaxEvidence);
-  return kLogOddsBefore + kEvidencePower * std::log(counted) +
-         kHeardPower * std::log(views.heard() + 1.0) + kLogOddsDirect * explained.direct +
-         kLogOddsMirrored * explained.mirrored;
+  return odds.before + odds.evidence_power * std::log(counted) +
+         odds.heard_power * std::log(views.heard() + 1.0) + odds.direct * explained.direct +
+         odds.mirrored * explained.mirrored +
+         (echo ? kLogOddsEcho * std::clamp(*echo, kLeastEcho, kMostEcho) : 0.0);
 }
 
 }  // namespace soundmap::sound_map

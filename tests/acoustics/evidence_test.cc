@@ -210,5 +210,48 @@ TEST(PeakLikelihood, DependsOnTheAngleToTheNearestPeak) {
   EXPECT_EQ(silent, std::vector<float>(grid.size(), 0.4f));
 }
 
+// By definition over the whole grid, for peaks of all heights above a plane at any rotation.
+TEST(PeakLikelihood, NearThePlaneOfAnArrayAllHeightsCountThatItHardlyTellsApart) {
+  std::mt19937_64 random(18);
+  const Eigen::Quaterniond turn = Eigen::Quaterniond(0.8, 0.3, -0.4, 0.33).normalized();
+  Microphones plane = testing::RandomArray(12, 0.2, random);
+  for (Eigen::Vector3d& mic : plane) {
+    mic.z() = 0.05;
+    mic = turn * mic;
+  }
+  const Eigen::Vector3d normal = turn * Eigen::Vector3d::UnitZ();
+  Listener listener(plane, DirectionGrid::EqualArea(geometry::RadFromDeg(2.0)));
+  const DirectionGrid& grid = listener.grid();
+  // Two directions 3 degrees apart at 45 degrees.
+  const double apart = std::sqrt(0.5) * std::sin(geometry::RadFromDeg(3.0));
+  for (const double height_deg : {0.0, 2.0, 10.0, 15.0, 25.0, 45.0, 70.0, 90.0}) {
+    const double height_rad = geometry::RadFromDeg(height_deg);
+    const Eigen::Vector3d peak =
+        turn * Eigen::Vector3d(0.6 * std::cos(height_rad), -0.8 * std::cos(height_rad),
+                               std::sin(height_rad));
+    const std::vector<float> likelihood =
+        listener.finder().Likelihood(std::vector<Peak>{{peak, 20.0}});
+    double highest_deg = 0.0;
+    for (int i = 0; i < grid.size(); ++i) {
+      const Eigen::Vector3d above =
+          grid[i].dot(normal) < 0.0 ? grid[i] - 2.0 * grid[i].dot(normal) * normal : grid[i];
+      const double angle_deg = AngleBetween_deg(above, peak);
+      const Eigen::Vector3d off = above - peak;
+      const double along = (off - off.dot(normal) * normal).norm();
+      if (std::abs(angle_deg - 3.0) < 1e-3 || std::abs(along - apart) < 1e-5) continue;
+      const float expected = angle_deg < 3.0 || along < apart ? 0.9f
+                             : angle_deg <= 10.0              ? 0.5f
+                                                              : 0.4f;
+      ASSERT_EQ(likelihood[i], expected) << "direction " << i << " of a peak at " << height_deg;
+      if (expected == 0.9f) highest_deg = std::max(highest_deg, angle_deg);
+    }
+    if (height_deg == 0.0) {
+      EXPECT_NEAR(highest_deg, 15.7, 1.5);
+    } else if (height_deg >= 45.0) {
+      EXPECT_LE(highest_deg, 3.1);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace soundmap::acoustics

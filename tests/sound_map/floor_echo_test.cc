@@ -50,6 +50,8 @@ TEST_F(FloorEchoTest, TellsASourceFromItsImage) {
     EXPECT_EQ(of_image.Against(of_source), -of_source.Against(of_image));
     EXPECT_GT(of_source.AgainstImage(), 6.0);
     EXPECT_LT(of_image.AgainstImage(), -6.0);
+    EXPECT_NEAR(of_source.AtPlace() - of_image.AtPlace(),
+                std::sqrt(2.0) * of_source.Against(of_image), 1e-9);
     EXPECT_NEAR((of_image.ImagePlace_in_map_m() - source).norm(), 0.0, 1e-6);
     // Its height is hardly known by its direction, but by its echo.
     const FloorEcho off = Drive(source, image + Eigen::Vector3d(0.0, 0.0, 0.2));
@@ -77,6 +79,7 @@ TEST_F(FloorEchoTest, HearsThePeakInItsDirectionAlone) {
   EXPECT_EQ(nothing, FloorEcho());
   EXPECT_EQ(nothing.Against(echo), 0.0);
   EXPECT_EQ(nothing.AgainstImage(), 0.0);
+  EXPECT_EQ(nothing.AtPlace(), 0.0);
 }
 
 // A robot that stands still for an hour knows no more than one that stood there for a while.

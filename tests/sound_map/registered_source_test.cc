@@ -156,6 +156,17 @@ TEST_F(ViewPointTest, AnArrayInSpaceTakesThePlaceOfOneInAPlane) {
   EXPECT_EQ(view_point.array_in_map_m.y(), 2.3);
 }
 
+TEST(RegisteredSource, IsHeardInPlanesAloneWhereNoArrayInSpaceIsKnown) {
+  RegisteredSource source;
+  EXPECT_FALSE(source.HeardInPlanesAlone());
+  source.view_points.resize(2);
+  EXPECT_FALSE(source.HeardInPlanesAlone());
+  source.view_points[1].AddArray({1.0, 2.0, 1.2}, ArrayPlane{});
+  EXPECT_TRUE(source.HeardInPlanesAlone());
+  source.view_points[0].AddArray({3.0, 2.0, 1.2}, std::nullopt);
+  EXPECT_FALSE(source.HeardInPlanesAlone());
+}
+
 TEST(RegisteredSource, IsExplainedFromTheViewPointsWhoseArrayIsKnown) {
   RegisteredSource source;
   source.found.position_in_map_m = {4.0, 0.0, 1.0};

@@ -105,10 +105,20 @@ TEST(Views, TheOddsAreThoseOfTheRegression) {
     return std::exp(-6.82) * std::pow(evidence, 1.37) * std::pow(h + 1.0, 1.28);
   };
   // 8 of 16 views are kept.
-  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {})), odds(75.0, 3.5), 1e-9);
-  EXPECT_NEAR(std::exp(LogOddsByViews(1e6, views, {})), odds(200.0, 3.5), 1e-9);
-  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {0.5, 0.25})),
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {}, {})), odds(75.0, 3.5), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(1e6, views, {}, {})), odds(200.0, 3.5), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {0.5, 0.25}, {})),
               odds(75.0, 3.5) * std::exp(-5.48 * 0.5 - 2.02 * 0.25), 1e-9);
+  const auto in_plane = [](double evidence, double h, double d, double echo) {
+    return std::exp(-7.55 - 3.01 * d + 0.36 * echo) * std::pow(evidence, 1.26) *
+           std::pow(h + 1.0, 0.8);
+  };
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {}, 0.0)), in_plane(75.0, 3.5, 0.0, 0.0), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {0.5, 0.25}, 2.5)),
+              in_plane(75.0, 3.5, 0.5, 2.5), 1e-9);
+  EXPECT_NEAR(std::exp(LogOddsByViews(1e6, views, {}, 50.0)), in_plane(200.0, 3.5, 0.0, 8.0), 1e-6);
+  EXPECT_NEAR(std::exp(LogOddsByViews(150.0, views, {}, -50.0)), in_plane(75.0, 3.5, 0.0, -3.0),
+              1e-9);
 }
 
 }  // namespace
