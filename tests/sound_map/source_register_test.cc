@@ -613,7 +613,8 @@ class WallDrive {
   // All places are seen; those at these heights are heard, with the echo of a source at
   // `source_m`.
   void Drive(int scans, std::optional<ArrayPlane> plane, const std::vector<double>& heard_m,
-             double array_m = 1.2, std::optional<double> source_m = std::nullopt) {
+             double array_m = 1.2, std::optional<double> source_m = std::nullopt,
+             bool array_known = false) {
     for (int scan = 0; scan < scans; ++scan) {
       EvidenceScan evidence;
       evidence.stamp_ns = 200 + scans_ * kScan_ns;
@@ -631,7 +632,9 @@ class WallDrive {
         peaks[0].ripple =
             FloorRipple(Eigen::Vector3d(robot.x(), robot.y(), array_m), peaks[0].place_in_map_m);
       }
-      register_.Observe({"r1", robot, &evidence, &peaks, plane});
+      SourceRegister::Observation observed{"r1", robot, &evidence, &peaks, plane};
+      if (array_known) observed.array_in_map_m = {robot.x(), robot.y(), array_m};
+      register_.Observe(observed);
     }
     events_ = register_.Update(found_);
   }
@@ -725,7 +728,7 @@ TEST(SourceRegister, OfTwoMirroredPlacesTheEchoOfTheFloorTellsTheSource) {
 TEST(SourceRegister, WhatWasHeardAtTheImageWasHeardFromTheSource) {
   const auto drive = [](const std::vector<SoundSource>& found) {
     WallDrive drive(found);
-    drive.Drive(80, ArrayPlane(), {kLower_m, kUpper_m}, 1.2, kLower_m);
+    drive.Drive(40, ArrayPlane(), {kLower_m, kUpper_m}, 1.2, kLower_m, /*array_known=*/true);
     return drive;
   };
   const SoundSource faint = OnWall(1, kLower_m, 10.0);
