@@ -56,7 +56,7 @@ struct PeakEvidence {
   int max_peaks = 10;
   double peak_radius_rad = geometry::RadFromDeg(3.0);
   double undecided_radius_rad = geometry::RadFromDeg(10.0);
-  double p_peak = 0.9;       // within peak_radius_rad of a peak
+  double p_peak = 0.9;       // within peak_radius_rad of a peak; see PeakFinder::Likelihood()
   double p_undecided = 0.5;  // within undecided_radius_rad
   double p_rest = 0.4;
 

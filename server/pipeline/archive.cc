@@ -71,7 +71,9 @@ void serialize(Archive& archive, soundmap::sound_map::SourceRegister::State& sta
 namespace soundmap::pipeline {
 namespace {
 
-constexpr std::uint32_t kSourceRegistersVersion = 6;
+// Of what is stored, and of the rules that sources are judged by: those of other rules are made
+// again from the journal.
+constexpr std::uint32_t kSourceRegistersVersion = 7;
 // Entries from before levels were measured have none, and begin with the length of a name.
 constexpr std::uint64_t kAudioScanVersion = 0xffff'ffff'0000'0006;
 constexpr std::uint64_t kAudioScanVersionWithoutRipples = 0xffff'ffff'0000'0005;

@@ -48,11 +48,12 @@ struct SourceEvent {
 //
 // An array in a plane hears a source and its mirror image alike. Of two places, one of which is
 // heard as the image of the other one (Mirrors::Has), the one that the echo of the floor fits is
-// the source (FloorEcho); where it does not tell, the one with more evidence. The other one is kept
-// as improbable, and told as mirror_in_map_m of the source as long as the echo does not tell and
-// the source, too, is heard with its image in half of the scans: an array in space and one in
-// another plane tell them apart, too. It is kept for a source that fell silent, since silence tells
-// nothing. A place whose image fits the echo where nothing was found is reported there.
+// the source (FloorEcho); where it does not tell, the one with more evidence. It is as probable as
+// what was heard at either makes it. The other one is kept as improbable, and told as
+// mirror_in_map_m of the source as long as the echo does not tell and the source, too, is heard
+// with its image in half of the scans: an array in space and one in another plane tell them apart,
+// too. It is kept for a source that fell silent, since silence tells nothing. A place whose image
+// fits the echo where nothing was found is reported there.
 //
 // A scan listens to a source if it has an end point within core_radius_m of it, and hears it if one
 // of these supports a source. Silence counts only near where robots have heard the source before:

@@ -158,7 +158,7 @@ TEST(Archive, AScanIsReadBackBitForBit) {
   }
 }
 
-// What version 6 of the register's state looks like on disk: the bytes of a state of which every
+// What version 7 of the register's state looks like on disk: the bytes of a state of which every
 // part is another number.
 TEST(Archive, AStoredRegisterKeepsItsBytes) {
   sound_map::SourceRegister::State state;
@@ -196,7 +196,7 @@ TEST(Archive, AStoredRegisterKeepsItsBytes) {
   boost::crc_32_type checksum;
   checksum.process_bytes(bytes.data(), bytes.size());
   EXPECT_EQ(bytes.size(), 2228u);
-  EXPECT_EQ(checksum.checksum(), 0x2e2487d2);
+  EXPECT_EQ(checksum.checksum(), 0x8cbba5a9);
   const auto read = DecodeSourceRegisters(bytes);
   ASSERT_TRUE(read.ok()) << read.status();
   ASSERT_EQ(read->size(), 2u);
